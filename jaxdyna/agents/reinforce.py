@@ -1,0 +1,136 @@
+"""REINFORCE (Williams 1992), §3.1.2 of the paper: a small network updated after every episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from jaxdyna.losses import discounted_returns, policy_gradient, standardise
+from jaxdyna.networks import MLP
+from jaxdyna.types import Agent, Key, Transition
+
+
+def within_episode(returns: jax.Array, valid: jax.Array) -> jax.Array:
+    """Returns standardised within each episode, ``[N, T]``, as the paper's authors do."""
+    return jax.vmap(standardise)(returns, valid)
+
+
+def over_batch(returns: jax.Array, valid: jax.Array) -> jax.Array:
+    """Returns standardised over all steps of all episodes: the better episodes stand out from the
+    worse. With a single episode the same as `within_episode`.
+    """
+    return standardise(returns, valid)
+
+
+def per_step(returns: jax.Array, valid: jax.Array) -> jax.Array:
+    """Returns less the mean, at the same step, of the episodes that got there, then scaled to unit
+    standard deviation: episodes that all last to the end leave the policy alone. A single episode
+    has nothing to be compared with and falls back on `within_episode`.
+    """
+    if returns.shape[0] == 1:
+        return within_episode(returns, valid)
+    mean = jnp.where(valid, returns, 0).sum(0) / jnp.maximum(valid.sum(0), 1)
+    return standardise(jnp.where(valid, returns - mean, 0), valid)
+
+
+@struct.dataclass
+class ReinforceHParams:
+    """What can be swept.
+
+    Attributes:
+        learning_rate: of the optimiser.
+        discount: of the returns.
+    """
+
+    learning_rate: float = 1e-2
+    discount: float = 0.99
+
+
+@dataclass(frozen=True)
+class ReinforceConfig:
+    """What decides the program.
+
+    Attributes:
+        hidden: widths of the hidden layers.
+        advantage: ``(returns [N, T], valid [N, T]) -> [N, T]``: what is done against the returns'
+            variance: `within_episode`, `over_batch` or `per_step`.
+        optimizer: from a learning rate to an optax transformation.
+    """
+
+    hidden: tuple[int, ...] = (8,)
+    advantage: Callable[[jax.Array, jax.Array], jax.Array] = within_episode
+    optimizer: Callable[[Any], optax.GradientTransformation] = optax.adam
+
+
+@struct.dataclass
+class ReinforceState:
+    """The policy's parameters and the optimiser's state."""
+
+    params: Any
+    opt_state: Any
+
+
+def reinforce(
+    obs_shape: tuple[int, ...], num_actions: int, config: ReinforceConfig | None = None
+) -> Agent:
+    """REINFORCE with standardised returns for a baseline.
+
+    Args:
+        obs_shape: of one observation; it is flattened.
+        num_actions: number of discrete actions.
+        config: the program's settings.
+
+    Returns:
+        An `Agent` whose hparams are `ReinforceHParams`.
+    """
+    config = config or ReinforceConfig()
+    network = MLP((*config.hidden, num_actions))
+
+    def logits(params: Any, obs: jax.Array) -> jax.Array:
+        return network.apply(params, obs.reshape(-1).astype(jnp.float32))
+
+    def init(key: Key, hparams: ReinforceHParams) -> ReinforceState:
+        params = network.init(key, jnp.zeros(obs_shape, jnp.float32).reshape(-1))
+        opt_state = config.optimizer(hparams.learning_rate).init(params)
+        return ReinforceState(params, opt_state)
+
+    def act(state: ReinforceState, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
+        del hparams
+        return jax.random.categorical(key, logits(state.params, obs))
+
+    def update(
+        state: ReinforceState, transitions: Transition, key: Key, hparams: ReinforceHParams
+    ) -> tuple[ReinforceState, dict[str, jax.Array]]:
+        """One gradient step. Adam forgets the loss's scale, so the mean weight of the batch scales
+        the step itself: data of weight 0.5 moves the policy half as far.
+        """
+        del key
+        weight = transitions.mask.astype(jnp.float32)
+        valid = weight > 0
+        returns = jax.vmap(discounted_returns, (0, None))(
+            jnp.where(valid, transitions.reward, 0), hparams.discount
+        )
+        advantage = config.advantage(returns, valid)
+
+        def loss_fn(params):
+            outputs = jax.vmap(jax.vmap(logits, (None, 0)), (None, 0))(params, transitions.obs)
+            losses = jax.vmap(policy_gradient)(outputs, transitions.action, advantage, weight)
+            return losses.mean()
+
+        loss, grads = jax.value_and_grad(loss_fn)(state.params)
+        optimizer = config.optimizer(hparams.learning_rate)
+        updates, opt_state = optimizer.update(grads, state.opt_state, state.params)
+        mean_weight = weight.sum() / jnp.maximum(valid.sum(), 1)
+        updates = jax.tree.map(lambda update: update * mean_weight, updates)
+        new = ReinforceState(optax.apply_updates(state.params, updates), opt_state)
+        any_valid = valid.any()
+        new = jax.tree.map(lambda new, old: jnp.where(any_valid, new, old), new, state)
+        return new, {"loss": loss}
+
+    return Agent(init, act, update)

@@ -1,0 +1,9 @@
+"""Pure environments, registered with Gymnasium when this package is imported."""
+
+from jaxdyna.envs.cartpole import CartPole, CartPoleParams, CartPoleState
+from jaxdyna.envs.gymnasium import HostEnv, HostVectorEnv, register
+
+__all__ = ["CartPole", "CartPoleParams", "CartPoleState", "HostEnv", "HostVectorEnv", "register"]
+
+register("jaxdyna/CartPole-v0", CartPole(), CartPoleParams(max_steps=200), reward_threshold=195.0)
+register("jaxdyna/CartPole-v1", CartPole(), CartPoleParams(max_steps=500), reward_threshold=475.0)

@@ -1,0 +1,184 @@
+"""The bridge to Gymnasium, and the only module that imports it.
+
+`HostEnv` and `HostVectorEnv` play any of this package's environments, a learned one included, from
+the host, so that other libraries can train in it.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from jaxdyna.types import Environment
+
+__all__ = ["HostEnv", "HostVectorEnv", "register", "spaces"]
+
+
+def register(env_id: str, env: Environment, params: Any, **spec: Any) -> None:
+    """Registers an environment for ``gymnasium.make`` and ``gymnasium.make_vec``.
+
+    Args:
+        env_id: such as ``"jaxdyna/CartPole-v0"``.
+        env: the environment.
+        params: its parameters; for a learned environment the trained weights.
+        **spec: further fields of Gymnasium's ``EnvSpec``, such as ``reward_threshold``.
+    """
+    gymnasium.register(
+        env_id,
+        entry_point=f"{__name__}:HostEnv",
+        vector_entry_point=f"{__name__}:HostVectorEnv",
+        kwargs={"env": env, "params": params},
+        **spec,
+    )
+
+
+class HostEnv(gymnasium.Env[np.ndarray, np.int64]):
+    """One environment behind Gymnasium's interface; time limits are the environment's own.
+
+    Args:
+        env: the environment.
+        params: its parameters, by default ``env.default_params``.
+        render_mode: None or ``"rgb_array"``.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
+
+    def __init__(self, env: Environment, params: Any = None, render_mode: str | None = None):
+        self.env = env
+        self.params = env.default_params if params is None else params
+        self.render_mode = render_mode
+        self.observation_space = env.observation_space(self.params)
+        self.action_space = env.action_space(self.params)
+        self._state: Any = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Starts an episode; ``seed`` makes it and all that follows reproducible."""
+        super().reset(seed=seed)
+        obs, self._state = _reset(self.env, self.params, _draw_seeds(self.np_random, 1)[0])
+        return np.asarray(obs), {}
+
+    def step(self, action: np.int64):
+        """Plays one step."""
+        if self._state is None:
+            raise ValueError("step before reset: call reset() first")
+        seed = _draw_seeds(self.np_random, 1)[0]
+        obs, self._state, reward, terminated, truncated = _step(
+            self.env, self.params, seed, self._state, jnp.asarray(action)
+        )
+        return np.asarray(obs), float(reward), bool(terminated), bool(truncated), {}
+
+    def render(self) -> np.ndarray | None:
+        """The current frame, uint8 ``[height, width, 3]``, with ``render_mode="rgb_array"``."""
+        if self.render_mode is None or self._state is None:
+            return None
+        return np.asarray(_render(self.env, self.params, self._state))
+
+
+class HostVectorEnv(VectorEnv):
+    """Many copies stepped in one jitted call; an ended one resets in the following step.
+
+    Args:
+        env: the environment.
+        params: its parameters, by default ``env.default_params``.
+        num_envs: number of copies.
+        render_mode: None or ``"rgb_array"``.
+    """
+
+    metadata = {
+        "render_modes": ["rgb_array"],
+        "render_fps": 50,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        env: Environment,
+        params: Any = None,
+        num_envs: int = 1,
+        render_mode: str | None = None,
+    ):
+        self.env = env
+        self.params = env.default_params if params is None else params
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.single_observation_space = env.observation_space(self.params)
+        self.single_action_space = env.action_space(self.params)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._state: Any = None
+        self._ended = np.zeros(num_envs, bool)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Starts an episode in every copy."""
+        super().reset(seed=seed)
+        seeds = _draw_seeds(self.np_random, self.num_envs)
+        obs, self._state = _vector_reset(self.env, self.params, seeds)
+        self._ended = np.zeros(self.num_envs, bool)
+        return np.asarray(obs), {}
+
+    def step(self, actions: np.ndarray):
+        """Plays one step in every copy; those that ended in the last one start anew instead, with
+        reward 0.
+        """
+        if self._state is None:
+            raise ValueError("step before reset: call reset() first")
+        seeds = _draw_seeds(self.np_random, self.num_envs)
+        obs, self._state, *outcome = _vector_step(
+            self.env, self.params, seeds, self._state, jnp.asarray(actions), self._ended
+        )
+        reward, terminated, truncated = (np.asarray(part) for part in outcome)
+        self._ended = terminated | truncated
+        return np.asarray(obs), reward, terminated, truncated, {}
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """One frame a copy, with ``render_mode="rgb_array"``."""
+        if self.render_mode is None or self._state is None:
+            return None
+        frames = jax.vmap(lambda state: _render(self.env, self.params, state))(self._state)
+        return tuple(np.asarray(frames))
+
+
+def _draw_seeds(generator: np.random.Generator, count: int) -> np.ndarray:
+    return generator.integers(0, 2**32, size=count, dtype=np.uint32)
+
+
+@partial(jax.jit, static_argnums=0)
+def _reset(env, params, seed):
+    return env.reset(jax.random.key(seed), params)
+
+
+@partial(jax.jit, static_argnums=0)
+def _step(env, params, seed, state, action):
+    return env.step(jax.random.key(seed), state, action, params)[:5]
+
+
+@partial(jax.jit, static_argnums=0)
+def _render(env, params, state):
+    return env.render(state, params)
+
+
+@partial(jax.jit, static_argnums=0)
+def _vector_reset(env, params, seeds):
+    return jax.vmap(lambda seed: _reset(env, params, seed))(seeds)
+
+
+@partial(jax.jit, static_argnums=0)
+def _vector_step(env, params, seeds, state, actions, ended):
+    def one(seed, state, action, ended):
+        fresh = _reset(env, params, seed)
+        obs, state, reward, terminated, truncated = _step(env, params, seed, state, action)
+        obs, state = jax.tree.map(
+            lambda new, old: jnp.where(ended, new, old), fresh, (obs, state)
+        )
+        reward = jnp.where(ended, 0, reward)
+        return obs, state, reward, terminated & ~ended, truncated & ~ended
+
+    return jax.vmap(one)(seeds, state, actions, ended)

@@ -1,0 +1,87 @@
+"""Command lines derived from dataclasses, with errors of one line."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+import tyro
+
+Options = TypeVar("Options")
+
+
+def parse(presets: dict[str, Options], argv: Sequence[str] | None, prog: str) -> Options:
+    """Reads the command line; ``--preset`` chooses where all other options start from.
+
+    Args:
+        presets: options by the name of their preset, the default one first.
+        argv: the arguments, by default the process's.
+        prog: the command as the user types it.
+
+    Raises:
+        SystemExit: with code 2 and one line on bad input, with 0 after ``--help``.
+    """
+    argv = list(sys.argv[1:] if argv is None else argv)
+    default = presets.get(_preset_name(argv), next(iter(presets.values())))
+    kind: Any = type(default)
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(
+                kind, default=default, args=argv, prog=prog, config=(tyro.conf.SuppressFixed,)
+            )
+    except SystemExit as stop:
+        if stop.code in (0, None):
+            raise
+        fail(_one_line(complaint.getvalue()), prog)
+    except (ValueError, TypeError) as error:
+        fail(str(error), prog)
+
+
+def fail(message: str, prog: str) -> NoReturn:
+    """Ends the process with code 2 and one line."""
+    print(f"{prog}: error: {message}", file=sys.stderr)
+    raise SystemExit(2)
+
+
+def check_writable(directory: Path) -> None:
+    """Makes the folder and tries it, before an hour's work is lost for want of it.
+
+    Raises:
+        ValueError: where it cannot be written to.
+    """
+    probe = directory / f".probe-{os.getpid()}"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        raise ValueError(
+            f"cannot write to --out {directory} ({error.strerror}): choose another folder"
+        ) from None
+
+
+def _preset_name(argv: list[str]) -> str:
+    for position, argument in enumerate(argv):
+        if argument == "--preset" and position + 1 < len(argv):
+            return argv[position + 1]
+        if argument.startswith("--preset="):
+            return argument.removeprefix("--preset=")
+    return ""
+
+
+def _one_line(panel: str) -> str:
+    """The message inside a framed panel, up to its first rule."""
+    inside = []
+    for line in panel.splitlines():
+        text = line.strip("│╭╮╰╯─ ")
+        if set(line) <= set("│─ ") and inside:
+            break
+        if line.startswith("│") and text:
+            inside.append(text)
+    return " ".join(inside) or " ".join(panel.split())

@@ -1,0 +1,167 @@
+"""Figures. Every one says in its axes and legend what is drawn, and how it was smoothed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+COLOURS = {
+    "model_free": "#4c566a",
+    "dyna": "#0f7b6c",
+    "placebo": "#b5651d",
+    "oracle": "#6a4c93",
+}
+SMOOTHING = 20
+
+
+def learning_curves(
+    path: Path,
+    returns: Mapping[str, np.ndarray],
+    threshold: float,
+    solved_at: Mapping[str, np.ndarray],
+    real_first: int,
+) -> None:
+    """Fig. 6: a panel an arm, real return against real episodes.
+
+    Args:
+        path: the PNG.
+        returns: by arm, ``[seeds, episodes]``.
+        threshold: the return that counts as solved.
+        solved_at: by arm, ``[seeds]``, infinity where unsolved.
+        real_first: N, where dreaming begins.
+    """
+    figure, panels = plt.subplots(
+        1, len(returns), figsize=(5.2 * len(returns), 4.2), sharex=True, sharey=True, squeeze=False
+    )
+    for letter, panel, (name, values) in zip("abcdefgh", panels[0], returns.items(), strict=False):
+        draw_seeds(panel, values, colour(name))
+        panel.axhline(threshold, color="#c0392b", linewidth=1, linestyle="--", label=f"solved: {threshold:g}")
+        if name != "model_free":
+            panel.axvline(real_first, color="#888888", linewidth=1, linestyle=":", label=f"dreams begin: {real_first}")
+        solved = solved_at[name][np.isfinite(solved_at[name])]
+        said = f"{len(solved)}/{len(solved_at[name])} solved"
+        said += f", mean after {solved.mean():.0f}" if len(solved) == len(solved_at[name]) else ""
+        panel.set_title(f"({letter}) {name}: {said}", loc="left", fontsize=10)
+        panel.set_xlabel("real episodes")
+        panel.legend(loc="lower right", fontsize=8, frameon=False)
+    panels[0, 0].set_ylabel(f"return (running mean of {SMOOTHING} episodes)")
+    _save(figure, path)
+
+
+def draw_seeds(panel: Axes, values: np.ndarray, colour: str) -> None:
+    """The mean over seeds with its 95% interval, every seed faintly behind.
+
+    Args:
+        panel: where to draw.
+        values: ``[seeds, episodes]``.
+        colour: of the arm.
+    """
+    smooth = running_mean(values, SMOOTHING)
+    numbers = np.arange(1, values.shape[1] + 1)
+    panel.plot(numbers, smooth[:50].T, color=colour, alpha=0.18, linewidth=0.7)
+    low, high = mean_interval(smooth)
+    panel.fill_between(numbers, low, high, color=colour, alpha=0.25, linewidth=0)
+    label = f"mean of {len(values)} seeds, 95% interval"
+    panel.plot(numbers, smooth.mean(0), color=colour, linewidth=1.8, label=label)
+    panel.spines[["top", "right"]].set_visible(False)
+
+
+def prediction_figure(
+    path: Path, episodes: Mapping[str, Mapping[str, np.ndarray]], variables: Sequence[str]
+) -> None:
+    """Fig. 5: every output of the model beside the truth, a column an episode.
+
+    Args:
+        path: the PNG.
+        episodes: by title: ``truth``, ``one_step`` and ``open_loop``, each ``[T, outputs]``.
+        variables: names of the outputs.
+    """
+    figure, panels = plt.subplots(
+        len(variables), len(episodes), figsize=(5.2 * len(episodes), 1.55 * len(variables)),
+        sharex="col", squeeze=False,
+    )  # fmt: skip
+    styles = {
+        "truth": {"color": "#d08770", "linewidth": 3.0, "label": "real environment"},
+        "one_step": {"color": "#0f7b6c", "linewidth": 1.2, "label": "model, one step from the truth"},
+        "open_loop": {
+            "color": "#6a4c93", "linewidth": 1.2, "linestyle": "--",
+            "label": "model, fed with its own predictions",
+        },
+    }  # fmt: skip
+    for column, (title, series) in enumerate(episodes.items()):
+        panels[0, column].set_title(title, loc="left", fontsize=10)
+        for row, name in enumerate(variables):
+            panel = panels[row, column]
+            for kind, style in styles.items():
+                panel.plot(np.arange(1, len(series[kind]) + 1), series[kind][:, row], **style)
+            truth = np.concatenate([series["truth"][:, row], series["one_step"][:, row]])
+            margin = max(0.25 * np.ptp(truth), 0.05)
+            panel.set_ylim(truth.min() - margin, truth.max() + margin)
+            panel.spines[["top", "right"]].set_visible(False)
+            panel.tick_params(labelsize=8)
+            if column == 0:
+                panel.set_ylabel(name, fontsize=9)
+        panels[-1, column].set_xlabel("step")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper center", ncols=3, fontsize=9, frameon=False)
+    _save(figure, path, top=0.96)
+
+
+def solve_bars(path: Path, solved_at: Mapping[str, np.ndarray], limit: int, title: str) -> None:
+    """Episodes to solve of many settings: every seed a dot, the mean a bar; unsolved on the right.
+
+    Args:
+        path: the PNG.
+        solved_at: by setting, ``[seeds]``, infinity where unsolved.
+        limit: the number of episodes played at the most.
+        title: above the figure.
+    """
+    figure, panel = plt.subplots(figsize=(8.5, 0.42 * len(solved_at) + 1.4))
+    jitter = np.random.default_rng(0)
+    for row, (name, values) in enumerate(solved_at.items()):
+        shown = np.where(np.isfinite(values), values, limit * 1.03)
+        spread = row + jitter.uniform(-0.22, 0.22, len(values))
+        panel.scatter(shown, spread, s=14, alpha=0.6, color=colour(name), linewidth=0)
+        mean = np.minimum(values, limit).mean()
+        panel.plot([mean, mean], [row - 0.36, row + 0.36], color="black", linewidth=2)
+    panel.axvline(limit, color="#c0392b", linewidth=1, linestyle="--")
+    panel.text(limit * 1.012, len(solved_at) - 0.4, "unsolved", color="#c0392b", fontsize=8)
+    panel.set_yticks(range(len(solved_at)), list(solved_at), fontsize=8)
+    panel.invert_yaxis()
+    panel.set_xlabel(f"episodes to solve (dot: a seed; bar: mean, an unsolved seed counted as {limit})")
+    panel.set_title(title, loc="left", fontsize=10)
+    panel.spines[["top", "right"]].set_visible(False)
+    _save(figure, path)
+
+
+def colour(name: str) -> str:
+    """The colour of an arm, wherever it appears."""
+    return COLOURS.get(name, COLOURS["dyna"])
+
+
+def running_mean(values: np.ndarray, window: int) -> np.ndarray:
+    """Mean of the last ``window`` entries along the last axis, of fewer at the start."""
+    padded = np.concatenate([np.zeros((*values.shape[:-1], 1)), values.cumsum(-1, np.float64)], -1)
+    ends = np.arange(1, values.shape[-1] + 1)
+    starts = np.maximum(ends - window, 0)
+    return (padded[..., ends] - padded[..., starts]) / (ends - starts)
+
+
+def mean_interval(values: np.ndarray, resamples: int = 400) -> np.ndarray:
+    """Bootstrap 95% interval of the mean over seeds: ``[2, episodes]`` from ``[seeds, episodes]``."""
+    generator = np.random.default_rng(0)
+    weights = generator.multinomial(len(values), np.full(len(values), 1 / len(values)), resamples)
+    return np.percentile(weights @ values / len(values), [2.5, 97.5], axis=0)
+
+
+def _save(figure, path: Path, top: float = 1.0) -> None:
+    figure.tight_layout(rect=(0, 0, 1, top))
+    figure.savefig(path, dpi=120)
+    plt.close(figure)

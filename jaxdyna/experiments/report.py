@@ -1,0 +1,202 @@
+"""What an experiment leaves on disk and says in the terminal: numbers, tables and their words."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import jaxdyna
+from jaxdyna.statistics import (
+    SolveRule,
+    Summary,
+    episodes_to_solve,
+    ratio_of_means,
+    steps_before,
+    summarise,
+)
+
+Curves = Mapping[str, np.ndarray]
+Results = dict[str, Any]
+
+PACKAGES = ("jax", "jaxlib", "flax", "optax", "numpy", "gymnasium")
+
+
+def describe_arm(curves: Curves, rule: SolveRule) -> Results:
+    """The Contract's figures of one arm.
+
+    Args:
+        curves: ``real_return`` and ``real_length``, ``[seeds, episodes]``, and others.
+        rule: when a run counts as solved.
+    """
+    solved_at = episodes_to_solve(curves["real_return"], rule)
+    first = solved_at - rule.window + 1
+    solved = np.isfinite(solved_at)
+    last = curves["real_return"][:, -rule.window :].mean(-1)
+    steps = steps_before(curves["real_length"], first)
+    played = curves["real_length"].sum(-1)
+    return {
+        "episodes_to_solve": summarise(solved_at, at_least=curves["real_return"].shape[1]),
+        "first_solved": summarise(first, at_least=curves["real_return"].shape[1] - rule.window + 2),
+        "real_steps_to_solve": summarise(steps, at_least=played),
+        "final_return": summarise(last, solved),
+        "episodes_played": int(curves["real_return"].shape[1]),
+        "solve_rule": str(rule),
+    }
+
+
+def compare(arms: Results, baseline: str) -> Results:
+    """Ratio of each arm's mean ``episodes_to_solve`` to the baseline's, with its interval."""
+    if baseline not in arms:
+        return {}
+    return {
+        name: ratio_of_means(_per_seed(arm), _per_seed(arms[baseline]))
+        for name, arm in arms.items()
+        if name != baseline
+    }
+
+
+def _per_seed(arm: Results) -> np.ndarray:
+    values = arm["episodes_to_solve"]["per_seed"]
+    return np.array([np.inf if value is None else value for value in values])
+
+
+def environment() -> Results:
+    """Versions and device, for ``results.json``."""
+    device = jax.devices()[0]
+    return {
+        "versions": {"jaxdyna": jaxdyna.__version__, "python": platform.python_version()}
+        | {name: version(name) for name in PACKAGES},
+        "device": {
+            "platform": device.platform,
+            "kind": device.device_kind,
+            "count": jax.device_count(),
+            "cpu_cores": os.cpu_count(),
+        },
+    }
+
+
+def plain(value: Any) -> Any:
+    """Configuration as JSON: dataclasses become objects, functions their names."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {item.name: plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {name: plain(item) for name, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if callable(value):
+        return getattr(value, "__name__", type(value).__name__)
+    return value
+
+
+def write_json(path: Path, results: Results) -> None:
+    """Writes strict JSON, whole or not at all."""
+    text = json.dumps(results, indent=1, allow_nan=False) + "\n"
+    _replace(path, text.encode())
+
+
+def write_curves(path: Path, arms: Mapping[str, Curves]) -> None:
+    """Writes every array as ``ARM/NAME``, whole or not at all."""
+    flat = {f"{arm}/{name}": values for arm, curves in arms.items() for name, values in curves.items()}
+    temporary = path.with_suffix(".part.npz")
+    np.savez_compressed(temporary, **flat)
+    temporary.replace(path)
+
+
+def read_curves(path: Path) -> dict[str, dict[str, np.ndarray]]:
+    """Reads what `write_curves` wrote; nothing where there is no file."""
+    arms: dict[str, dict[str, np.ndarray]] = {}
+    if path.exists():
+        with np.load(path) as stored:
+            for name in stored.files:
+                arm, _, metric = name.partition("/")
+                arms.setdefault(arm, {})[metric] = stored[name]
+    return arms
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a text file, whole or not at all."""
+    _replace(path, text.encode())
+
+
+def _replace(path: Path, content: bytes) -> None:
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_bytes(content)
+    temporary.replace(path)
+
+
+def number(summary: Summary, statistic: str = "mean", digits: int = 0) -> str:
+    """A statistic in words; where unsolved seeds leave a mean undefined, its lower bound."""
+    value = summary[statistic]
+    if value is None and statistic == "mean" and "mean_at_least" in summary:
+        return f"≥ {summary['mean_at_least']:,.{digits}f}"
+    return "–" if value is None else f"{value:,.{digits}f}"
+
+
+def interval(ends: Sequence[float | None], digits: int = 0) -> str:
+    """``low to high``, with ∞ for an open end."""
+    low, high = ("∞" if end is None else f"{end:,.{digits}f}" for end in ends)
+    return f"{low} to {high}"
+
+
+def arm_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of the table of arms, the paper's figure beside ours."""
+    header = [
+        "arm", "paper", "episodes to solve: mean", "95% interval", "median", "IQM", "solved",
+        "first solved: mean", "real steps before it: mean", "final return: mean",
+    ]  # fmt: skip
+    rows = []
+    for name, arm in results["arms"].items():
+        solve = arm["episodes_to_solve"]
+        rows.append(
+            [
+                name,
+                f"{paper[name]:g}" if name in paper else "–",
+                number(solve),
+                interval(solve["ci95"]),
+                number(solve, "median"),
+                number(solve, "iqm"),
+                f"{solve['solved']}/{solve['seeds']}",
+                number(arm["first_solved"]),
+                number(arm["real_steps_to_solve"]),
+                number(arm["final_return"], digits=1),
+            ]
+        )
+    return header, rows
+
+
+def short_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
+    """The same for the terminal: what fits 80 columns."""
+    _, rows = arm_table(results, paper)
+    header = ["arm", "paper", "episodes to solve", "median", "solved", "final return"]
+    return header, [
+        [row[0], row[1], f"{row[2]} ({row[3]})", row[4], row[6], row[9]] for row in rows
+    ]
+
+
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def print_table(console: Console, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]):
+    """The same table for the terminal."""
+    table = Table(title=title, title_justify="left")
+    for position, name in enumerate(header):
+        table.add_column(name, justify="left" if position == 0 else "right")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)

@@ -1,0 +1,221 @@
+"""One run of an experiment from start to report, the same for every experiment."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import jax
+import numpy as np
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from jaxdyna.experiments import cli
+from jaxdyna.experiments.report import (
+    Results,
+    compare,
+    describe_arm,
+    environment,
+    plain,
+    read_curves,
+    write_curves,
+    write_json,
+    write_text,
+)
+from jaxdyna.experiments.run import Arm, ArmRun, Runner
+from jaxdyna.statistics import SolveRule
+
+Curves = dict[str, np.ndarray]
+NOT_SETTINGS = ("arms", "out", "resume")
+
+
+class Report(Protocol):
+    """What differs from experiment to experiment in what is left behind."""
+
+    def analyse(self, arm: Arm, run: ArmRun, key: jax.Array) -> Curves:
+        """Further arrays to keep from a finished arm, such as judgements of its model."""
+
+    def describe(self, curves: Curves) -> Results:
+        """Further entries of an arm in ``results.json``."""
+
+    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+        """Draws the figures."""
+
+    def markdown(self, results: Results) -> str:
+        """The text of ``report.md``."""
+
+    def summary(self, console: Console, results: Results) -> None:
+        """The closing table in the terminal."""
+
+
+@dataclass
+class Session:
+    """Plays the arms, keeps what is finished on disk, and reports.
+
+    Attributes:
+        experiment: its name.
+        prog: the command as the user types it.
+        argv: its arguments.
+        options: a dataclass: the run's settings.
+        out: the folder for the results.
+        rule: when a run counts as solved.
+        keys: random keys ``[seeds]``.
+        report: the experiment's own part of the report.
+    """
+
+    experiment: str
+    prog: str
+    argv: Sequence[str]
+    options: Any
+    out: Path
+    rule: SolveRule
+    keys: jax.Array
+    report: Report
+    console: Console = field(default_factory=lambda: Console(highlight=False))
+
+    def run(self, arms: Mapping[str, Arm]) -> int:
+        """Runs the arms; returns the exit code: 0, 2 on bad input, 130 after Ctrl-C."""
+        self._began = time.perf_counter()
+        self._timing: dict[str, dict[str, float]] = {}
+        curves: dict[str, Curves] = {}
+        try:
+            cli.check_writable(self.out)
+            if self.options.resume:
+                curves = self._resume()
+        except ValueError as error:
+            cli.fail(str(error), self.prog)
+        if not self.options.resume:
+            shutil.rmtree(self.out / "checkpoints", ignore_errors=True)
+        (self.out / "checkpoints").mkdir(exist_ok=True)
+        write_json(self.out / "checkpoints" / "settings.json", self._settings())
+        code = 0
+        try:
+            self._play(arms, curves)
+            shutil.rmtree(self.out / "checkpoints", ignore_errors=True)
+        except KeyboardInterrupt:
+            code = 130
+            self.console.print(
+                f"Interrupted. What is finished is in {self.out}; go on with the same command and --resume."
+            )
+        if curves:
+            self._write(curves, figures=True)
+        return code
+
+    def _play(self, arms: Mapping[str, Arm], curves: dict[str, Curves]) -> None:
+        """Plays the arms that are not yet in ``curves`` and puts them there."""
+        columns = (
+            TextColumn("{task.description}"), BarColumn(bar_width=20), MofNCompleteColumn(),
+            TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}"),
+        )  # fmt: skip
+        runner = Runner(
+            self.keys, self.rule, self.options.stop_after_solved, self.out / "checkpoints"
+        )
+        with Progress(*columns, console=self.console, speed_estimate_period=120) as progress:
+            for name, arm in arms.items():
+                total = arm.config.num_episodes
+                bar = progress.add_task(name, total=total, note="waiting", start=False)
+                if name in curves:
+                    progress.update(bar, completed=total, note="finished before")
+            for (name, arm), bar in zip(arms.items(), progress.task_ids, strict=True):
+                if name in curves:
+                    continue
+                runner.report = self._reporter(progress, bar)
+                done = runner.run(name, arm, resume=self.options.resume)
+                progress.update(bar, note=f"{progress.tasks[bar].fields['note']}, judging the model")
+                key = jax.random.fold_in(jax.random.key(self.options.seed), 1)
+                curves[name] = done.metrics | self.report.analyse(arm, done, key)
+                self._timing[name] = {"compile_s": done.compile_s, "run_s": done.run_s}
+                self._write(curves, figures=False)
+                progress.update(bar, note=progress.tasks[bar].fields["note"].split(",")[0])
+
+    def _reporter(self, progress: Progress, bar: Any):
+        def report(stage: str, done: int, total: int, solved: int) -> None:
+            if stage == "running" and not progress.tasks[bar].started:
+                progress.start_task(bar)
+            note = "compiling" if stage == "compiling" else f"{solved}/{len(self.keys)} solved"
+            progress.update(bar, completed=done, note=note)
+            if stage == "done":
+                progress.update(bar, total=done)
+                progress.stop_task(bar)
+
+        return report
+
+    def _resume(self) -> dict[str, Curves]:
+        """Arms that an earlier run with the same settings finished.
+
+        Raises:
+            ValueError: where there is no such run.
+        """
+        begun = _read_json(self.out / "checkpoints" / "settings.json")
+        results = _read_json(self.out / "results.json")
+        finished = results and {
+            name: value for name, value in results["config"].items() if name not in NOT_SETTINGS
+        }
+        before, now = begun or finished, self._settings()
+        if before is None:
+            raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
+        changed = sorted(name for name in now if now[name] != before.get(name))
+        if changed:
+            flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+            raise ValueError(
+                f"the run in {self.out} had other settings for {flags}: "
+                "resume with the same, or choose another --out"
+            )
+        if finished != now:
+            return {}
+        self._timing = results["timing"]["arms"]
+        return read_curves(self.out / "curves.npz")
+
+    def _settings(self) -> Results:
+        config = plain(self.options)
+        return {name: value for name, value in config.items() if name not in NOT_SETTINGS}
+
+    def _write(self, curves: Mapping[str, Curves], figures: bool) -> None:
+        write_curves(self.out / "curves.npz", curves)
+        if figures:
+            self.report.figures(self.out, curves)
+        results = self._results(curves)
+        write_json(self.out / "results.json", results)
+        if figures:
+            write_text(self.out / "report.md", self.report.markdown(results))
+            self.report.summary(self.console, results)
+            self.console.print(f"Report: {self.out / 'report.md'}")
+
+    def _results(self, curves: Mapping[str, Curves]) -> Results:
+        arms = {
+            name: describe_arm(values, self.rule) | self.report.describe(values)
+            for name, values in curves.items()
+        }
+        total = {
+            part: sum(timing[part] for timing in self._timing.values())
+            for part in ("compile_s", "run_s")
+        }
+        return {
+            "experiment": self.experiment,
+            "command": f"{self.prog} {shlex.join(self.argv)}".strip(),
+            "preset": self.options.preset,
+            "config": plain(self.options),
+            **environment(),
+            "timing": total
+            | {"total_s": time.perf_counter() - self._began, "arms": self._timing},
+            "arms": arms,
+            "ratio_to_model_free": compare(arms, "model_free"),
+        }
+
+
+def _read_json(path: Path) -> Any:
+    return json.loads(path.read_text()) if path.exists() else None

@@ -1,0 +1,90 @@
+"""The equations, unbatched: one episode or one transition at a time. Callers vmap them."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import optax
+
+
+def discounted_returns(reward: jax.Array, discount: jax.Array | float) -> jax.Array:
+    """The return from every step on: ``G_t = r_t + discount * G_{t+1}``.
+
+    Args:
+        reward: ``[T]``, zero after the end of the episode.
+        discount: scalar in [0, 1].
+
+    Returns:
+        ``[T]``. Nothing is bootstrapped at the end (Williams 1992, REINFORCE).
+    """
+
+    def step(following, reward_t):
+        following = reward_t + discount * following
+        return following, following
+
+    _, returns = jax.lax.scan(step, jnp.zeros_like(reward[0]), reward, reverse=True, unroll=8)
+    return returns
+
+
+def standardise(values: jax.Array, mask: jax.Array) -> jax.Array:
+    """Shifts and scales to mean 0 and standard deviation 1 where ``mask`` is true.
+
+    Args:
+        values: any shape.
+        mask: bool, the same shape.
+
+    Returns:
+        The same shape, 0 where masked out. A lone value, or equal ones, become 0.
+    """
+    count = jnp.maximum(mask.sum(), 1)
+    centred = jnp.where(mask, values - jnp.where(mask, values, 0).sum() / count, 0)
+    variance = jnp.square(centred).sum() / count
+    return centred / (jnp.sqrt(variance) + 1e-6)
+
+
+def policy_gradient(
+    logits: jax.Array, action: jax.Array, advantage: jax.Array, weight: jax.Array
+) -> jax.Array:
+    """REINFORCE's surrogate loss ``-sum_t weight_t * advantage_t * log pi(a_t | s_t)``.
+
+    Args:
+        logits: ``[T, actions]``.
+        action: int ``[T]``.
+        advantage: ``[T]``, treated as a constant.
+        weight: ``[T]``, 0 on padding.
+
+    Returns:
+        A scalar (Williams 1992).
+    """
+    log_prob = jnp.take_along_axis(jax.nn.log_softmax(logits), action[:, None], axis=-1)[:, 0]
+    return -(weight * jax.lax.stop_gradient(advantage) * log_prob).sum()
+
+
+def transition_loss(
+    next_obs: jax.Array,
+    reward: jax.Array,
+    terminated_logit: jax.Array,
+    true_next_obs: jax.Array,
+    true_reward: jax.Array,
+    true_terminated: jax.Array,
+) -> jax.Array:
+    """One term of Eq. 1: squared errors of state and reward plus the cross-entropy of the end.
+
+    Args:
+        next_obs: prediction ``[obs]`` (or of what is put in its place: a scaled change).
+        reward: prediction, scalar.
+        terminated_logit: log odds of the end, scalar.
+        true_next_obs: ``[obs]``.
+        true_reward: scalar.
+        true_terminated: 0 or 1, scalar.
+
+    Returns:
+        A scalar. The paper prints the cross-entropy's two terms with ``p`` and ``1 - p``; from the
+        logit they cannot overflow.
+    """
+    state_error = jnp.square(next_obs - true_next_obs).sum()
+    reward_error = jnp.square(reward - true_reward)
+    end_error = optax.sigmoid_binary_cross_entropy(
+        terminated_logit, true_terminated.astype(terminated_logit.dtype)
+    )
+    return state_error + reward_error + end_error

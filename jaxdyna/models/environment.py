@@ -1,0 +1,114 @@
+"""A learned model as an environment: its weights travel in the params slot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from jaxdyna.types import Environment, Key, Prediction
+
+
+@struct.dataclass
+class LearnedParams:
+    """What a learned environment takes in its params slot.
+
+    Attributes:
+        model: what the model's ``predict`` takes: its weights.
+        start: what the function that draws start states takes.
+        termination_threshold: the probability of the end above which a fake episode terminates
+            (`threshold_rule`).
+        max_steps: steps until truncation.
+    """
+
+    model: Any
+    start: Any = None
+    termination_threshold: float | jax.Array = 0.5
+    max_steps: int | jax.Array = 200
+
+
+@struct.dataclass
+class LearnedState:
+    """The predicted observation ``[*obs]`` and the number of steps taken."""
+
+    obs: jax.Array
+    time: jax.Array
+
+
+def threshold_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
+    """Terminates where the predicted probability exceeds ``params.termination_threshold``."""
+    del key
+    return prediction.terminated > params.termination_threshold
+
+
+def sample_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
+    """Terminates with the predicted probability."""
+    del params
+    return jax.random.bernoulli(key, prediction.terminated)
+
+
+def uniform_start(low: float, high: float) -> Callable[[Key, Any], jax.Array]:
+    """Start states whose every entry is uniform in ``[low, high)``; ``params.start`` is an array
+    of the observation's shape.
+    """
+
+    def start(key: Key, like: jax.Array) -> jax.Array:
+        return jax.random.uniform(key, like.shape, like.dtype, minval=low, maxval=high)
+
+    return start
+
+
+@dataclass(frozen=True)
+class LearnedEnvironment:
+    """What a `DynamicsModel` believes, played like any environment.
+
+    Attributes:
+        real: the environment it imitates: actions, spaces and the shape of an observation.
+        predict: a model's ``predict``.
+        start: ``(key, params.start) -> obs``: where fake episodes begin.
+        terminates: ``(prediction, params, key) -> bool``: when they end.
+    """
+
+    real: Environment
+    predict: Callable[[Any, jax.Array, jax.Array, Key], Prediction]
+    start: Callable[[Key, Any], jax.Array]
+    terminates: Callable[[Prediction, LearnedParams, Key], jax.Array] = threshold_rule
+
+    @property
+    def default_params(self) -> LearnedParams:
+        """Without weights; fill in ``model`` and ``start``."""
+        return LearnedParams(model=None, max_steps=self.real.default_params.max_steps)
+
+    @property
+    def num_actions(self) -> int:
+        """As the real one's."""
+        return self.real.num_actions
+
+    def reset(self, key: Key, params: LearnedParams) -> tuple[jax.Array, LearnedState]:
+        """Draws a start state."""
+        obs = self.start(key, params.start)
+        return obs, LearnedState(obs, time=jnp.int32(0))
+
+    def step(
+        self, key: Key, state: LearnedState, action: jax.Array, params: LearnedParams
+    ) -> tuple[jax.Array, LearnedState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+        """One predicted step; ``info["prediction"]`` is the whole `Prediction`."""
+        key_predict, key_end = jax.random.split(key)
+        prediction = self.predict(params.model, state.obs, action, key_predict)
+        state = LearnedState(prediction.next_obs, state.time + 1)
+        terminated = self.terminates(prediction, params, key_end)
+        truncated = state.time >= params.max_steps
+        info = {"prediction": prediction}
+        return state.obs, state, prediction.reward, terminated, truncated, info
+
+    def observation_space(self, params: LearnedParams) -> Any:
+        """As the real one's."""
+        return self.real.observation_space(self.real.default_params)
+
+    def action_space(self, params: LearnedParams) -> Any:
+        """As the real one's."""
+        return self.real.action_space(self.real.default_params)

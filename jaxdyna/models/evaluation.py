@@ -1,0 +1,89 @@
+"""How good a dynamics model is, one step ahead and fed with its own predictions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxdyna.types import Key, Prediction, Transition
+
+Predict = Callable[[Any, jax.Array, jax.Array, Key], Prediction]
+
+
+def one_step(predict: Predict, params: Any, transitions: Transition, key: Key) -> Prediction:
+    """Predictions from the true observations.
+
+    Args:
+        predict: a model's.
+        params: its parameters.
+        transitions: with leading axes ``[N, T]``.
+        key: random key.
+
+    Returns:
+        A `Prediction` ``[N, T, ...]``.
+    """
+    keys = jax.random.split(key, transitions.mask.shape)
+    over_time = jax.vmap(predict, (None, 0, 0, 0))
+    return jax.vmap(over_time, (None, 0, 0, 0))(params, transitions.obs, transitions.action, keys)
+
+
+def open_loop(predict: Predict, params: Any, obs: jax.Array, action: jax.Array, key: Key):
+    """Predictions fed back as the next input, under given actions.
+
+    Args:
+        predict: a model's.
+        params: its parameters.
+        obs: where it starts, ``[*obs]``.
+        action: ``[T]``.
+        key: random key.
+
+    Returns:
+        A `Prediction` ``[T, ...]``; it goes on past any predicted end.
+    """
+
+    def step(obs, inputs):
+        prediction = predict(params, obs, *inputs)
+        return prediction.next_obs, prediction
+
+    _, predictions = jax.lax.scan(step, obs, (action, jax.random.split(key, action.shape[0])))
+    return predictions
+
+
+def one_step_sums(predict: Predict) -> Callable[[Any, Transition, Key], dict[str, jax.Array]]:
+    """A ``diagnose`` for `jaxdyna.dyna.Dyna`: sums over the valid transitions of real episodes,
+    from which `jaxdyna.statistics.r_squared` and error rates follow for any span of episodes.
+
+    Returns:
+        ``diagnose(params, transitions [N, T], key)`` giving ``count``; ``state_error``,
+        ``state_sum``, ``state_square`` (of the next state) and ``change_sum``, ``change_square``
+        (of its change), each ``[obs]``; ``reward_error`` (squared); ``end_true`` (terminations),
+        ``end_error`` (summed cross-entropy of the end, nats).
+    """
+
+    def diagnose(params: Any, transitions: Transition, key: Key) -> dict[str, jax.Array]:
+        prediction = one_step(predict, params, transitions, key)
+        valid = transitions.mask.astype(jnp.float32)
+        target, change = transitions.next_obs, transitions.next_obs - transitions.obs
+
+        def total(values):
+            return (values * valid[..., None]).sum((0, 1))
+
+        end = transitions.terminated.astype(jnp.float32)
+        p = jnp.clip(prediction.terminated, 1e-6, 1 - 1e-6)
+        cross_entropy = -(end * jnp.log(p) + (1 - end) * jnp.log1p(-p))
+        return {
+            "count": valid.sum(),
+            "state_error": total(jnp.square(prediction.next_obs - target)),
+            "state_sum": total(target),
+            "state_square": total(jnp.square(target)),
+            "change_sum": total(change),
+            "change_square": total(jnp.square(change)),
+            "reward_error": (jnp.square(prediction.reward - transitions.reward) * valid).sum(),
+            "end_true": (end * valid).sum(),
+            "end_error": (cross_entropy * valid).sum(),
+        }
+
+    return diagnose

@@ -1,0 +1,213 @@
+"""The dynamics model of Eq. 1: an MLP that predicts next state, reward and end of the episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from jaxdyna.losses import transition_loss
+from jaxdyna.networks import MLP
+from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
+
+
+@struct.dataclass
+class SupervisedHParams:
+    """What can be swept.
+
+    Attributes:
+        learning_rate: of the optimiser.
+    """
+
+    learning_rate: float = 1e-2
+
+
+@dataclass(frozen=True)
+class SupervisedConfig:
+    """What decides the program. The defaults are the paper's (§3.1).
+
+    Attributes:
+        hidden: widths of the hidden layers.
+        sum_loss: Eq. 1 sums over the batch; False takes the mean, which divides the step by the
+            batch size.
+        delta: predict the change of the state instead of the next state.
+        normalise: scale inputs and state targets by their running mean and standard deviation.
+        one_hot: encode the action one-hot instead of as one number.
+        ensemble: number of members, each with its own initial weights and its own resampling of
+            every batch; a prediction is that of a member drawn at random (PETS' TS1).
+        weight_variance: of the initial weights, see `jaxdyna.networks.MLP`.
+        optimizer: from a learning rate to an optax transformation.
+    """
+
+    hidden: tuple[int, ...] = (256, 256)
+    sum_loss: bool = True
+    delta: bool = False
+    normalise: bool = False
+    one_hot: bool = False
+    ensemble: int = 1
+    weight_variance: float = 1.0
+    optimizer: Callable[[Any], optax.GradientTransformation] = optax.sgd
+
+    def __post_init__(self) -> None:
+        if self.ensemble < 1:
+            raise ValueError(f"an ensemble of {self.ensemble} members: it needs at least 1")
+
+
+@struct.dataclass
+class Moments:
+    """Running mean and standard deviation of a vector.
+
+    Attributes:
+        mean: ``[n]``.
+        square: running mean of squares, ``[n]``.
+        batches: how many batches went in.
+    """
+
+    mean: jax.Array
+    square: jax.Array
+    batches: jax.Array
+
+    @property
+    def std(self) -> jax.Array:
+        """Standard deviation, at least 1e-3; 1 before the first batch."""
+        variance = jnp.maximum(self.square - jnp.square(self.mean), 1e-6)
+        return jnp.where(self.batches > 0, jnp.sqrt(variance), 1.0)
+
+
+@struct.dataclass
+class SupervisedParams:
+    """What ``predict`` takes: network weights with a leading axis for the ensemble, and scales."""
+
+    network: Any
+    inputs: Moments
+    targets: Moments
+
+
+@struct.dataclass
+class SupervisedState:
+    """Parameters and the optimiser's state."""
+
+    params: SupervisedParams
+    opt_state: Any
+
+
+def supervised(
+    obs_size: int, num_actions: int, config: SupervisedConfig | None = None
+) -> DynamicsModel:
+    """The paper's dynamics MLP and its better-conditioned variants.
+
+    Args:
+        obs_size: length of the observation vector.
+        num_actions: number of discrete actions.
+        config: the program's settings.
+
+    Returns:
+        A `DynamicsModel` whose hparams are `SupervisedHParams`.
+    """
+    config = config or SupervisedConfig()
+    network = MLP((*config.hidden, obs_size + 2), weight_variance=config.weight_variance)
+    action_size = num_actions if config.one_hot else 1
+
+    def encode(action: jax.Array) -> jax.Array:
+        if config.one_hot:
+            return jax.nn.one_hot(action, num_actions)
+        return action.astype(jnp.float32)[..., None]
+
+    def raw_target(obs: jax.Array, next_obs: jax.Array) -> jax.Array:
+        return next_obs - obs if config.delta else next_obs
+
+    def member(weights: Any, params: SupervisedParams, obs: jax.Array, action: jax.Array):
+        """Scaled state target ``[obs]``, reward and log odds of the end by one member."""
+        scaled = (obs - params.inputs.mean) / params.inputs.std
+        output = network.apply(weights, jnp.concatenate([scaled, encode(action)]))
+        return output[:obs_size], output[obs_size], output[obs_size + 1]
+
+    def init(key: Key, hparams: SupervisedHParams) -> SupervisedState:
+        zeros = jnp.zeros(obs_size + action_size)
+        weights = jax.vmap(network.init, (0, None))(jax.random.split(key, config.ensemble), zeros)
+        still = Moments(jnp.zeros(obs_size), jnp.ones(obs_size), jnp.int32(0))
+        opt_state = config.optimizer(hparams.learning_rate).init(weights)
+        return SupervisedState(SupervisedParams(weights, still, still), opt_state)
+
+    def predict(
+        params: SupervisedParams, obs: jax.Array, action: jax.Array, key: Key
+    ) -> Prediction:
+        scaled, reward, logit = jax.vmap(member, (0, None, None, None))(
+            params.network, params, obs, action
+        )
+        target = scaled * params.targets.std + params.targets.mean
+        next_obs = obs + target if config.delta else target
+        drawn = jax.random.randint(key, (), 0, config.ensemble) if config.ensemble > 1 else 0
+        return Prediction(
+            next_obs=next_obs[drawn],
+            reward=reward[drawn],
+            terminated=jax.nn.sigmoid(logit[drawn]),
+            disagreement=scaled.std(axis=0).max(),
+        )
+
+    def update(
+        state: SupervisedState, transitions: Transition, key: Key, hparams: SupervisedHParams
+    ) -> tuple[SupervisedState, dict[str, jax.Array]]:
+        lead = transitions.mask.ndim
+        batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[lead:]), transitions)
+        weight = batch.mask.astype(jnp.float32)
+        target = raw_target(batch.obs, batch.next_obs)
+        params = state.params
+        if config.normalise:
+            params = params.replace(
+                inputs=_update_moments(params.inputs, batch.obs, weight),
+                targets=_update_moments(params.targets, target, weight),
+            )
+        scaled_target = (target - params.targets.mean) / params.targets.std
+
+        def member_loss(weights, row):
+            output = jax.vmap(member, (None, None, 0, 0))(
+                weights, params, batch.obs[row], batch.action[row]
+            )
+            losses = jax.vmap(transition_loss)(
+                *output, scaled_target[row], batch.reward[row], batch.terminated[row]
+            )
+            total = (weight[row] * losses).sum()
+            mean = total / jnp.maximum(weight[row].sum(), 1e-6)
+            return (total if config.sum_loss else mean), mean
+
+        rows = _resample(key, weight.shape[0], config.ensemble)
+
+        def loss_fn(network_params):
+            losses, means = jax.vmap(member_loss)(network_params, rows)
+            return losses.sum(), means.mean()
+
+        (_, loss), grads = jax.value_and_grad(loss_fn, has_aux=True)(params.network)
+        optimizer = config.optimizer(hparams.learning_rate)
+        updates, opt_state = optimizer.update(grads, state.opt_state, params.network)
+        params = params.replace(network=optax.apply_updates(params.network, updates))
+        new = SupervisedState(params, opt_state)
+        any_weight = (weight > 0).any()
+        new = jax.tree.map(lambda new, old: jnp.where(any_weight, new, old), new, state)
+        return new, {"loss": loss}
+
+    return DynamicsModel(init, predict, update)
+
+
+def _resample(key: Key, size: int, members: int) -> jax.Array:
+    """Rows of the batch for each member ``[members, size]``: all for one, a bootstrap for more."""
+    if members == 1:
+        return jnp.arange(size)[None]
+    return jax.random.randint(key, (members, size), 0, size)
+
+
+def _update_moments(moments: Moments, values: jax.Array, weight: jax.Array) -> Moments:
+    """Takes in one batch ``[B, n]``; the first 200 count alike, later ones move it by 1/200."""
+    batches = moments.batches + 1
+    rate = 1 / jnp.minimum(batches, 200)
+    share = (weight / jnp.maximum(weight.sum(), 1e-6))[:, None]
+    return Moments(
+        mean=moments.mean + rate * ((share * values).sum(0) - moments.mean),
+        square=moments.square + rate * ((share * jnp.square(values)).sum(0) - moments.square),
+        batches=batches,
+    )

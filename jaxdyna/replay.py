@@ -1,0 +1,90 @@
+"""A ring buffer over any pytree: the newest ``capacity`` items, sampled uniformly."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from jaxdyna.types import Key, PyTree
+
+
+@struct.dataclass
+class Replay:
+    """The buffer.
+
+    Attributes:
+        data: every leaf ``[capacity, ...]``.
+        added: int32, how many items were ever added; item ``i`` lies at ``i % capacity``.
+    """
+
+    data: PyTree
+    added: jax.Array
+
+    @property
+    def capacity(self) -> int:
+        """The most items held."""
+        return jax.tree.leaves(self.data)[0].shape[0]
+
+    @property
+    def size(self) -> jax.Array:
+        """How many items it holds now."""
+        return jnp.minimum(self.added, self.capacity)
+
+
+def init(capacity: int, example: PyTree) -> Replay:
+    """An empty buffer.
+
+    Args:
+        capacity: the most items held.
+        example: one item: arrays, or anything with ``shape`` and ``dtype``.
+
+    Raises:
+        ValueError: where ``capacity`` is not positive.
+    """
+    if capacity < 1:
+        raise ValueError(f"replay capacity is {capacity}: it must be at least 1")
+    data = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), example)
+    return Replay(data=data, added=jnp.int32(0))
+
+
+def add(replay: Replay, items: PyTree, mask: jax.Array) -> Replay:
+    """Adds the items where ``mask`` is true, oldest first; the oldest held make room.
+
+    Args:
+        replay: the buffer.
+        items: every leaf ``[*mask.shape, ...]``.
+        mask: bool, any shape.
+
+    Raises:
+        ValueError: where more items than ``capacity`` could come at once.
+    """
+    if mask.size > replay.capacity:
+        raise ValueError(
+            f"{mask.size} items at once do not fit a replay of {replay.capacity}: "
+            "give it at least the capacity of one batch"
+        )
+    mask = mask.reshape(-1)
+    position = (replay.added + jnp.cumsum(mask) - 1) % replay.capacity
+    position = jnp.where(mask, position, replay.capacity)  # out of bounds: dropped
+
+    def write(held, new):
+        return held.at[position].set(new.reshape(-1, *held.shape[1:]), mode="drop")
+
+    data = jax.tree.map(write, replay.data, items)
+    return Replay(data=data, added=replay.added + mask.sum(dtype=jnp.int32))
+
+
+def sample(replay: Replay, key: Key, shape: tuple[int, ...]) -> PyTree:
+    """Draws items uniformly, with replacement.
+
+    Args:
+        replay: a buffer; an empty one yields its zeros, so check ``size`` or mask what comes.
+        key: random key.
+        shape: how many, as leading axes.
+
+    Returns:
+        Every leaf ``[*shape, ...]``.
+    """
+    index = jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
+    return jax.tree.map(lambda leaf: leaf[index], replay.data)

@@ -1,0 +1,88 @@
+"""The one rollout: real, fake and evaluation episodes differ only in its arguments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxdyna.types import Environment, Key, Transition
+
+
+def rollout(
+    env: Environment,
+    act: Callable[[jax.Array, Key], jax.Array],
+    key: Key,
+    env_params: Any,
+    num_episodes: int,
+    *,
+    num_steps: int | None = None,
+) -> Transition:
+    """Plays whole episodes side by side.
+
+    Args:
+        env: a true or a learned environment.
+        act: ``(obs, key) -> action`` for one observation; close over the agent's state.
+        key: random key.
+        env_params: the environment's parameters; a learned environment's weights travel here.
+        num_episodes: N, static.
+        num_steps: T, static; by default ``env_params.max_steps``, or where that is traced (swept)
+            ``env.default_params.max_steps``.
+
+    Returns:
+        A `Transition` ``[N, T, ...]``. After the end of an episode ``mask`` is False, the
+        observations repeat the last one and the rest is zero. An episode that outlasts ``T`` is
+        truncated at its last step: every episode ends in ``terminated`` or ``truncated``.
+
+    Raises:
+        ValueError: where N or T is not positive.
+    """
+    if num_steps is None:
+        num_steps = _concrete_max_steps(env, env_params)
+    if num_episodes < 1 or num_steps < 1:
+        raise ValueError(
+            f"a rollout of {num_episodes} episodes of {num_steps} steps: both must be at least 1"
+        )
+
+    def step(carry, inputs):
+        obs, state, alive = carry
+        time, key_act, key_step = inputs
+        action = act(obs, key_act)
+        next_obs, next_state, reward, terminated, truncated, _ = env.step(
+            key_step, state, action, env_params
+        )
+        truncated = truncated | ((time == num_steps - 1) & ~terminated)
+        transition = Transition(
+            obs=obs,
+            action=jnp.where(alive, action, 0),
+            reward=jnp.where(alive, reward, 0),
+            next_obs=jnp.where(alive, next_obs, obs),
+            terminated=terminated & alive,
+            truncated=truncated & alive,
+            mask=alive,
+        )
+        # Frozen after the end: a learned model fed with its own output for ever may overflow.
+        state = jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_state, state)
+        return (transition.next_obs, state, alive & ~(terminated | truncated)), transition
+
+    def episode(key: Key) -> Transition:
+        key_reset, key_act, key_step = jax.random.split(key, 3)
+        obs, state = env.reset(key_reset, env_params)
+        inputs = (
+            jnp.arange(num_steps),
+            jax.random.split(key_act, num_steps),
+            jax.random.split(key_step, num_steps),
+        )
+        _, transitions = jax.lax.scan(step, (obs, state, jnp.bool_(True)), inputs)
+        return transitions
+
+    return jax.vmap(episode)(jax.random.split(key, num_episodes))
+
+
+def _concrete_max_steps(env: Environment, env_params: Any) -> int:
+    max_steps = env_params.max_steps
+    if isinstance(max_steps, jax.core.Tracer):
+        max_steps = env.default_params.max_steps
+    return int(max_steps)

@@ -1,0 +1,186 @@
+"""Honest statistics: when a run solved, and what many runs say together. Plain NumPy, on the host.
+
+An unsolved run counts as infinity: it is never dropped. A mean with an unsolved run in it is
+therefore undefined (None), while a median or an interquartile mean may still be known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+Summary = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class SolveRule:
+    """Solved when the mean return of ``window`` successive real training episodes reaches
+    ``threshold``.
+    """
+
+    window: int
+    threshold: float
+
+    def __str__(self) -> str:
+        return (
+            f"solved at the first real training episode at which the mean return of the last "
+            f"{self.window} reaches {self.threshold:g}; episodes_to_solve is that episode's number, "
+            f"counted from 1, first_solved the number of the window's first episode, and "
+            f"real_steps_to_solve the real steps before the window begins"
+        )
+
+
+def episodes_to_solve(returns: np.ndarray, rule: SolveRule) -> np.ndarray:
+    """The number, from 1, of the episode that ends the first solving window.
+
+    Args:
+        returns: ``[..., episodes]``; NaN where an episode was not played.
+        rule: when a run is solved.
+
+    Returns:
+        float64 ``[...]``, infinity where unsolved.
+    """
+    returns = np.asarray(returns, np.float64)
+    if returns.shape[-1] < rule.window:
+        return np.full(returns.shape[:-1], np.inf)
+    padded = np.concatenate([np.zeros((*returns.shape[:-1], 1)), returns.cumsum(-1)], axis=-1)
+    means = (padded[..., rule.window :] - padded[..., : -rule.window]) / rule.window
+    reached = means >= rule.threshold - 1e-9
+    return np.where(reached.any(-1), reached.argmax(-1) + rule.window, np.inf)
+
+
+def steps_before(lengths: np.ndarray, first_solved: np.ndarray) -> np.ndarray:
+    """Real steps before the solving window begins.
+
+    Args:
+        lengths: of the real episodes in steps, ``[seeds, episodes]``.
+        first_solved: number of the window's first episode from 1, ``[seeds]``; infinity where
+            unsolved.
+
+    Returns:
+        float64 ``[seeds]``, infinity where unsolved.
+    """
+    numbers = np.arange(1, lengths.shape[-1] + 1)
+    before = np.where(numbers < first_solved[:, None], np.nan_to_num(lengths), 0).sum(-1)
+    return np.where(np.isfinite(first_solved), before, np.inf)
+
+
+def summarise(
+    per_seed: np.ndarray,
+    solved: np.ndarray | None = None,
+    at_least: np.ndarray | float | None = None,
+) -> Summary:
+    """What the seeds say together, ready for JSON (None for infinity).
+
+    Args:
+        per_seed: ``[seeds]``; infinity where unsolved.
+        solved: bool ``[seeds]``, by default where ``per_seed`` is finite.
+        at_least: lower bound of an unsolved seed's value, a scalar or ``[seeds]``.
+
+    Returns:
+        ``per_seed, mean, median, iqm`` (interquartile mean, Agarwal et al. 2021), ``ci95``
+        (bootstrap interval of the mean), ``iqm_ci95``, ``solved`` and ``seeds`` (counts), and with
+        ``at_least`` also ``mean_at_least``, the mean with unsolved seeds at that bound.
+    """
+    per_seed = np.asarray(per_seed, np.float64)
+    solved = np.isfinite(per_seed) if solved is None else solved
+    bound = {}
+    if at_least is not None:
+        bounded = np.where(np.isfinite(per_seed), per_seed, at_least)
+        bound["mean_at_least"] = float(bounded.mean())
+    return {
+        "per_seed": [_plain(value) for value in per_seed],
+        "mean": _plain(np.mean(per_seed)),
+        "median": _plain(_median(per_seed)),
+        "iqm": _plain(interquartile_mean(per_seed)),
+        "ci95": bootstrap_interval(per_seed, _row_means),
+        "iqm_ci95": bootstrap_interval(per_seed, interquartile_mean),
+        "solved": int(np.sum(solved)),
+        "seeds": len(per_seed),
+    } | bound
+
+
+def interquartile_mean(values: np.ndarray) -> np.ndarray:
+    """The mean of the middle half along the last axis; infinite where an unsolved run is in it."""
+    ordered = np.sort(values, axis=-1)
+    cut = ordered.shape[-1] // 4
+    return ordered[..., cut : ordered.shape[-1] - cut].mean(-1)
+
+
+def bootstrap_interval(
+    values: np.ndarray,
+    statistic: Callable[[np.ndarray], np.ndarray],
+    resamples: int = 5000,
+) -> list[float | None]:
+    """A 95% percentile-bootstrap interval over seeds, the same on every call.
+
+    Args:
+        values: ``[seeds]``.
+        statistic: from ``[resamples, seeds]`` to ``[resamples]``.
+        resamples: how many.
+
+    Returns:
+        ``[low, high]``; None for an infinite end.
+    """
+    index = np.random.default_rng(0).integers(0, len(values), (resamples, len(values)))
+    return _interval(statistic(values[index]))
+
+
+def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray) -> Summary:
+    """How two arms compare: the ratio of their means, with a 95% bootstrap interval.
+
+    Args:
+        numerator: ``[seeds]``, infinity where unsolved.
+        denominator: ``[seeds]``.
+
+    Returns:
+        ``ratio`` and ``ci95``; None where an unsolved run makes it undefined.
+    """
+    if not (np.isfinite(numerator).all() and np.isfinite(denominator).all()):
+        return {"ratio": None, "ci95": [None, None]}
+    generator = np.random.default_rng(0)
+
+    def means(values):
+        return values[generator.integers(0, len(values), (5000, len(values)))].mean(-1)
+
+    return {
+        "ratio": _plain(numerator.mean() / denominator.mean()),
+        "ci95": _interval(means(numerator) / means(denominator)),
+    }
+
+
+def r_squared(squared_error: np.ndarray, total: np.ndarray, square: np.ndarray, count: np.ndarray):
+    """The share of the variance explained, from sums over transitions.
+
+    Args:
+        squared_error: summed squared errors of the prediction, ``[..., variables]``.
+        total: summed targets, the same shape.
+        square: summed squared targets, the same shape.
+        count: number of transitions, ``[...]``.
+
+    Returns:
+        ``1 - error / variance``, the same shape as ``squared_error``.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return 1 - squared_error / (square - np.square(total) / np.asarray(count)[..., None])
+
+
+def _row_means(values: np.ndarray) -> np.ndarray:
+    return values.mean(-1)
+
+
+def _median(values: np.ndarray) -> float:
+    middle = np.sort(values)[[(len(values) - 1) // 2, len(values) // 2]]
+    return float(middle.mean())
+
+
+def _interval(resampled: np.ndarray) -> list[float | None]:
+    low, high = np.percentile(resampled, [2.5, 97.5], method="nearest")
+    return [_plain(low), _plain(high)]
+
+
+def _plain(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None

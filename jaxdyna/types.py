@@ -1,0 +1,122 @@
+"""What every part speaks: transitions, environments, agents and dynamics models.
+
+Shapes are written ``[axis, ...]``; the axis order is hparams, seed, episode, time, features.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import jax
+
+Key = jax.Array
+"""A typed random key (``jax.random.key``), used once."""
+
+PyTree = Any
+
+
+class Transition(NamedTuple):
+    """One step of experience, or with leading axes a batch of them (``[N, T]`` from `rollout`).
+
+    ``terminated`` says that the world ended; ``truncated`` that only the recording did. A learner
+    bootstraps from ``next_obs`` unless ``terminated``.
+
+    Attributes:
+        obs: what was seen before acting, ``[..., *obs]``.
+        action: what was done, ``[...]``.
+        reward: what it earned, ``[...]``.
+        next_obs: what was seen after, ``[..., *obs]``; never the first frame of a new episode.
+        terminated: bool ``[...]``.
+        truncated: bool ``[...]``.
+        mask: bool ``[...]``, False on padding after the end of an episode. A learner also takes
+            floats here: the weight of each transition in its loss, 0 for none.
+    """
+
+    obs: jax.Array
+    action: jax.Array
+    reward: jax.Array
+    next_obs: jax.Array
+    terminated: jax.Array
+    truncated: jax.Array
+    mask: jax.Array
+
+
+class Environment(Protocol):
+    """A pure environment: everything random comes from ``key``, everything that can be swept from
+    ``params``, everything that decides a shape from the (hashable) object itself. It never resets
+    by itself. The argument order is gymnax's.
+    """
+
+    @property
+    def default_params(self) -> Any:
+        """A pytree of what can be swept; it has a field ``max_steps``."""
+
+    @property
+    def num_actions(self) -> int:
+        """The number of discrete actions."""
+
+    def reset(self, key: Key, params: Any) -> tuple[jax.Array, Any]:
+        """Returns the first ``obs`` and ``state`` of an episode."""
+
+    def step(
+        self, key: Key, state: Any, action: jax.Array, params: Any
+    ) -> tuple[jax.Array, Any, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+        """Returns ``obs, state, reward, terminated, truncated, info``."""
+
+    def render(self, state: Any, params: Any) -> jax.Array:
+        """A frame for people, uint8 ``[height, width, 3]``."""
+
+    def observation_space(self, params: Any) -> Any:
+        """The ``gymnasium.spaces`` space of one observation."""
+
+    def action_space(self, params: Any) -> Any:
+        """The ``gymnasium.spaces`` space of one action."""
+
+
+class Agent(NamedTuple):
+    """A learner of behaviour, as three pure functions.
+
+    Attributes:
+        init: ``(key, hparams) -> state``.
+        act: ``(state, obs, key, hparams) -> action`` for one observation ``[*obs]``.
+        update: ``(state, transitions, key, hparams) -> (state, metrics)`` from whole episodes
+            ``[N, T]``, real or fake alike. ``transitions.mask`` weighs them; where it is zero
+            throughout, the state comes back as it was.
+    """
+
+    init: Callable[[Key, Any], Any]
+    act: Callable[[Any, jax.Array, Key, Any], jax.Array]
+    update: Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]]
+
+
+class Prediction(NamedTuple):
+    """What a dynamics model expects of one step.
+
+    Attributes:
+        next_obs: ``[*obs]``.
+        reward: scalar.
+        terminated: probability that the step ends the episode, a scalar in [0, 1].
+        disagreement: how far the members of an ensemble are apart, a scalar in units of the
+            standard deviation of one step's change; 0 for a single model.
+    """
+
+    next_obs: jax.Array
+    reward: jax.Array
+    terminated: jax.Array
+    disagreement: jax.Array
+
+
+class DynamicsModel(NamedTuple):
+    """A learner of the world, as three pure functions.
+
+    Attributes:
+        init: ``(key, hparams) -> state``; ``state.params`` is what ``predict`` takes.
+        predict: ``(params, obs, action, key) -> Prediction`` for one observation and action.
+        update: ``(state, transitions, key, hparams) -> (state, metrics)``: one gradient step on
+            transitions with any leading axes, weighed by their ``mask``.
+    """
+
+    init: Callable[[Key, Any], Any]
+    predict: Callable[[Any, jax.Array, jax.Array, Key], Prediction]
+    update: Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]]
