@@ -7,7 +7,7 @@ counts it is given. What a real episode draws from its key is the same in every 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -149,7 +149,9 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
         if dyna.model is None:
             return DynaState(agent, None, None, None, key)
         episode = jax.eval_shape(lambda: _play_real(dyna, config, agent, key, hparams))
-        example = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[2:], leaf.dtype), episode)
+        example = jax.tree.map(
+            lambda leaf: jax.ShapeDtypeStruct(leaf.shape[2:], leaf.dtype), episode
+        )
         capacity = config.replay_capacity or config.num_episodes * config.num_steps
         return DynaState(
             agent=agent,
@@ -174,21 +176,26 @@ def make_advance(
 
     def step(state: DynaState, episode: jax.Array, hparams: DynaHParams):
         key, key_real, key_agent, key_model, key_dream = jax.random.split(state.key, 5)
-        state = state.replace(key=key)
+        state = replace(state, key=key)
         real = _play_real(dyna, config, state.agent, key_real, hparams)
         agent, agent_metrics = dyna.agent.update(state.agent, real, key_agent, hparams.agent)
-        state = state.replace(agent=agent)
+        state = replace(state, agent=agent)
         metrics = {"agent_loss": agent_metrics["loss"], **_summary("real", real)}
         if dyna.model is not None:
-            state, model_metrics = _learn_model(dyna, config, state, real, episode, key_model, hparams)
+            state, model_metrics = _learn_model(
+                dyna, config, state, real, episode, key_model, hparams
+            )
             metrics |= model_metrics
         if dyna.dream is not None and config.dream_updates > 0:
             agent, dream_metrics = jax.lax.cond(
                 episode >= config.num_real_first,
                 lambda: _dream(dyna, config, state, episode, key_dream, hparams),
-                lambda: (state.agent, {name: jnp.float32(jnp.nan) for name in ("fake_return", "fake_length")}),
+                lambda: (
+                    state.agent,
+                    {name: jnp.float32(jnp.nan) for name in ("fake_return", "fake_length")},
+                ),
             )
-            state = state.replace(agent=agent)
+            state = replace(state, agent=agent)
             metrics |= dream_metrics
         return state, metrics
 
@@ -228,19 +235,20 @@ def _learn_model(dyna, config, state, real, episode, key, hparams) -> tuple[Dyna
     held = state.replay
     if config.forget_every:
         start_of_block = episode % config.forget_every == 0
-        held = held.replace(added=jnp.where(start_of_block, 0, held.added))
+        held = replace(held, added=jnp.where(start_of_block, 0, held.added))
     held = replay.add(held, real, real.mask)
     starts = replay.add(state.starts, real.obs[:, 0], real.mask[:, 0])
     batches = replay.sample(held, key_sample, (config.model_updates, config.model_batch))
 
-    def update(model, inputs):
-        batch, key = inputs
-        return dyna.model.update(model, batch, key, hparams.model)
+    def update(carry, batch):
+        model, key = carry
+        key, key_now = jax.random.split(key)
+        model, losses = dyna.model.update(model, batch, key_now, hparams.model)
+        return (model, key), losses
 
-    keys = jax.random.split(key_update, config.model_updates)
-    model, losses = jax.lax.scan(update, state.model, (batches, keys))
+    (model, _), losses = jax.lax.scan(update, (state.model, key_update), batches)
     metrics["model_loss"] = losses["loss"].mean() if config.model_updates else jnp.float32(0)
-    return state.replace(model=model, replay=held, starts=starts), metrics
+    return replace(state, model=model, replay=held, starts=starts), metrics
 
 
 def _dream(dyna, config, state, episode, key, hparams) -> tuple[Any, Metrics]:
@@ -248,20 +256,26 @@ def _dream(dyna, config, state, episode, key, hparams) -> tuple[Any, Metrics]:
     env_params = dyna.dream.params(state, hparams)
     weight = jnp.where(episode >= hparams.num_real_first, hparams.fake_weight, 0.0)
 
-    def update(agent, key):
-        key_play, key_update = jax.random.split(key)
+    def update(carry, _):
+        agent, key = carry
+        key, key_play, key_update = jax.random.split(key, 3)
 
         def act(obs, key):
             return dyna.agent.act(agent, obs, key, hparams.agent)
 
         fake = rollout(
-            dyna.dream.env, act, key_play, env_params, config.dream_episodes, num_steps=config.num_steps
+            dyna.dream.env,
+            act,
+            key_play,
+            env_params,
+            config.dream_episodes,
+            num_steps=config.num_steps,
         )
         weighted = fake._replace(mask=fake.mask * weight)
         agent, _ = dyna.agent.update(agent, weighted, key_update, hparams.agent)
-        return agent, _summary("fake", fake)
+        return (agent, key), _summary("fake", fake)
 
-    agent, metrics = jax.lax.scan(update, state.agent, jax.random.split(key, config.dream_updates))
+    (agent, _), metrics = jax.lax.scan(update, (state.agent, key), length=config.dream_updates)
     return agent, jax.tree.map(jnp.mean, metrics)
 
 

@@ -46,9 +46,9 @@ def rollout(
             f"a rollout of {num_episodes} episodes of {num_steps} steps: both must be at least 1"
         )
 
-    def step(carry, inputs):
-        obs, state, alive = carry
-        time, key_act, key_step = inputs
+    def step(carry, time):
+        obs, state, alive, key = carry
+        key, key_act, key_step = jax.random.split(key, 3)
         action = act(obs, key_act)
         next_obs, next_state, reward, terminated, truncated, _ = env.step(
             key_step, state, action, env_params
@@ -65,18 +65,14 @@ def rollout(
         )
         # Frozen after the end: a learned model fed with its own output for ever may overflow.
         state = jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_state, state)
-        return (transition.next_obs, state, alive & ~(terminated | truncated)), transition
+        alive = alive & ~(terminated | truncated)
+        return (transition.next_obs, state, alive, key), transition
 
     def episode(key: Key) -> Transition:
-        key_reset, key_act, key_step = jax.random.split(key, 3)
+        key_reset, key_steps = jax.random.split(key)
         obs, state = env.reset(key_reset, env_params)
-        inputs = (
-            jnp.arange(num_steps),
-            jax.random.split(key_act, num_steps),
-            jax.random.split(key_step, num_steps),
-        )
-        _, transitions = jax.lax.scan(step, (obs, state, jnp.bool_(True)), inputs)
-        return transitions
+        start = (obs, state, jnp.bool_(True), key_steps)
+        return jax.lax.scan(step, start, jnp.arange(num_steps))[1]
 
     return jax.vmap(episode)(jax.random.split(key, num_episodes))
 

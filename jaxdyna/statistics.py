@@ -27,7 +27,7 @@ class SolveRule:
     def __str__(self) -> str:
         return (
             f"solved at the first real training episode at which the mean return of the last "
-            f"{self.window} reaches {self.threshold:g}; episodes_to_solve is that episode's number, "
+            f"{self.window} reaches {self.threshold:g}; episodes_to_solve is that episode's number "
             f"counted from 1, first_solved the number of the window's first episode, and "
             f"real_steps_to_solve the real steps before the window begins"
         )

@@ -45,7 +45,8 @@ class Transition(NamedTuple):
 class Environment(Protocol):
     """A pure environment: everything random comes from ``key``, everything that can be swept from
     ``params``, everything that decides a shape from the (hashable) object itself. It never resets
-    by itself. The argument order is gymnax's.
+    by itself. The argument order is gymnax's. One that people can watch also has
+    ``render(state, params)``, a uint8 frame ``[height, width, 3]``.
     """
 
     @property
@@ -63,9 +64,6 @@ class Environment(Protocol):
         self, key: Key, state: Any, action: jax.Array, params: Any
     ) -> tuple[jax.Array, Any, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
         """Returns ``obs, state, reward, terminated, truncated, info``."""
-
-    def render(self, state: Any, params: Any) -> jax.Array:
-        """A frame for people, uint8 ``[height, width, 3]``."""
 
     def observation_space(self, params: Any) -> Any:
         """The ``gymnasium.spaces`` space of one observation."""

@@ -93,7 +93,7 @@ def reinforce(
     network = MLP((*config.hidden, num_actions))
 
     def logits(params: Any, obs: jax.Array) -> jax.Array:
-        return network.apply(params, obs.reshape(-1).astype(jnp.float32))
+        return jnp.asarray(network.apply(params, obs.reshape(-1).astype(jnp.float32)))
 
     def init(key: Key, hparams: ReinforceHParams) -> ReinforceState:
         params = network.init(key, jnp.zeros(obs_shape, jnp.float32).reshape(-1))

@@ -59,7 +59,7 @@ class CartPoleState:
 
 @dataclass(frozen=True)
 class CartPole:
-    """Balance a pole on a cart by pushing left (0) or right (1); reward 1 a step, the last included.
+    """Balance a pole on a cart by pushing left (0) or right (1); every step earns 1, the last too.
 
     The observation is float32 ``[4]``: ``x, x_dot, theta, theta_dot``. Under x64 the state is
     float64 and a step agrees with Gymnasium's to the last bits.
@@ -128,7 +128,12 @@ class CartPole:
         pole = (jnp.abs(along - half) < half) & (jnp.abs(aside) < 3)
         axle = jnp.hypot(across, up) < 3.5
         frame = jnp.full((height, width, 3), 255, jnp.uint8)
-        layers = ((track, (120, 120, 120)), (cart, (40, 40, 40)), (pole, (202, 152, 101)), (axle, (90, 90, 200)))
+        layers = (
+            (track, (120, 120, 120)),
+            (cart, (40, 40, 40)),
+            (pole, (202, 152, 101)),
+            (axle, (90, 90, 200)),
+        )
         for shape, colour in layers:
             frame = jnp.where(shape[..., None], jnp.array(colour, jnp.uint8), frame)
         return frame

@@ -7,7 +7,7 @@ the host, so that other libraries can train in it.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import jax
@@ -49,12 +49,12 @@ class HostEnv(gymnasium.Env[np.ndarray, np.int64]):
         render_mode: None or ``"rgb_array"``.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 50}
 
     def __init__(self, env: Environment, params: Any = None, render_mode: str | None = None):
         self.env = env
         self.params = env.default_params if params is None else params
-        self.render_mode = render_mode
+        self.render_mode = _check_render_mode(env, render_mode)
         self.observation_space = env.observation_space(self.params)
         self.action_space = env.action_space(self.params)
         self._state: Any = None
@@ -92,7 +92,7 @@ class HostVectorEnv(VectorEnv):
         render_mode: None or ``"rgb_array"``.
     """
 
-    metadata = {
+    metadata: ClassVar[dict[str, Any]] = {
         "render_modes": ["rgb_array"],
         "render_fps": 50,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -108,7 +108,7 @@ class HostVectorEnv(VectorEnv):
         self.env = env
         self.params = env.default_params if params is None else params
         self.num_envs = num_envs
-        self.render_mode = render_mode
+        self.render_mode = _check_render_mode(env, render_mode)
         self.single_observation_space = env.observation_space(self.params)
         self.single_action_space = env.action_space(self.params)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -146,6 +146,15 @@ class HostVectorEnv(VectorEnv):
         return tuple(np.asarray(frames))
 
 
+def _check_render_mode(env: Environment, render_mode: str | None) -> str | None:
+    if render_mode is not None and not hasattr(env, "render"):
+        raise ValueError(
+            f"{type(env).__name__} cannot be rendered: use render_mode=None, or give it a method "
+            "render(state, params) that returns a frame"
+        )
+    return render_mode
+
+
 def _draw_seeds(generator: np.random.Generator, count: int) -> np.ndarray:
     return generator.integers(0, 2**32, size=count, dtype=np.uint32)
 
@@ -161,7 +170,7 @@ def _step(env, params, seed, state, action):
 
 
 @partial(jax.jit, static_argnums=0)
-def _render(env, params, state):
+def _render(env: Any, params, state):
     return env.render(state, params)
 
 
@@ -175,9 +184,7 @@ def _vector_step(env, params, seeds, state, actions, ended):
     def one(seed, state, action, ended):
         fresh = _reset(env, params, seed)
         obs, state, reward, terminated, truncated = _step(env, params, seed, state, action)
-        obs, state = jax.tree.map(
-            lambda new, old: jnp.where(ended, new, old), fresh, (obs, state)
-        )
+        obs, state = jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, (obs, state))
         reward = jnp.where(ended, 0, reward)
         return obs, state, reward, terminated & ~ended, truncated & ~ended
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -64,9 +65,9 @@ class Options:
     """v0: 200 steps, solved at 195. v1: 500 steps, solved at 475."""
     real_first: int = 100
     """N of the paper: real episodes before the first dream."""
-    model_updates: int = 40
+    model_updates: int = 60
     """Gradient steps of the model after each real episode."""
-    model_batch: int = 32
+    model_batch: int = 16
     """Transitions in each."""
     dream_updates: int = 2
     """Policy updates on dreams after each real episode."""
@@ -79,7 +80,9 @@ class Options:
     agent: ReinforceConfig = field(default_factory=lambda: ReinforceConfig(advantage=per_step))
     """REINFORCE's network."""
     model: SupervisedConfig = field(
-        default_factory=lambda: SupervisedConfig(sum_loss=False, normalise=True)
+        default_factory=lambda: SupervisedConfig(
+            sum_loss=False, normalise=True, weight_variance=1 / 3
+        )
     )
     """The dynamics model."""
     hparams: DynaHParams = field(
@@ -102,6 +105,15 @@ class Options:
             raise ValueError("--arms is empty: name at least one arm")
         if self.stop_after_solved is not None and self.stop_after_solved < 0:
             raise ValueError("--stop-after-solved is negative: give 0 or more, or None")
+        for flag, value, high in (
+            ("termination-threshold", self.hparams.termination_threshold, 1.0),
+            ("agent.discount", self.hparams.agent.discount, 1.0),
+            ("agent.learning-rate", self.hparams.agent.learning_rate, math.inf),
+            ("model.learning-rate", self.hparams.model.learning_rate, math.inf),
+            ("fake-weight", self.hparams.fake_weight, math.inf),
+        ):
+            if not 0 <= value <= high:
+                raise ValueError(f"--hparams.{flag} is {value}: it must lie between 0 and {high:g}")
         dyna_config(self)
 
 
@@ -122,8 +134,8 @@ def dyna_config(options: Options) -> DynaConfig:
 def make_arms(options: Options) -> dict[str, Arm]:
     """The arms by name, each from the same parts; placebo is dyna with a learning rate of 0."""
     config, env = dyna_config(options), CartPole()
-    env_params = options.hparams.env.replace(max_steps=config.num_steps)
-    hparams = options.hparams.replace(env=env_params)
+    env_params = replace(options.hparams.env, max_steps=config.num_steps)
+    hparams = replace(options.hparams, env=env_params)
     agent = reinforce((4,), env.num_actions, options.agent)
     model = supervised(4, env.num_actions, options.model)
     observed = options.dream_start == "observed"
@@ -144,7 +156,7 @@ def make_arms(options: Options) -> dict[str, Arm]:
         )
 
     dyna = Dyna(env, agent, model, Dream(learned, learned_params), one_step_sums(model.predict))
-    untrained = hparams.replace(model=hparams.model.replace(learning_rate=0.0))
+    untrained = replace(hparams, model=replace(hparams.model, learning_rate=0.0))
     return {
         "model_free": Arm(Dyna(env, agent), config, hparams),
         "dyna": Arm(dyna, config, hparams),
@@ -163,7 +175,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = cli.parse(PRESETS, argv, PROG)
     out = options.out or Path("runs") / f"cartpole-{options.preset}"
     arms = make_arms(options)
-    chosen = {name: arms[name] for name in dict.fromkeys(options.arms)}
+    chosen: dict[str, Arm] = {name: arms[name] for name in dict.fromkeys(options.arms)}
     session = Session(
         experiment="cartpole",
         prog=PROG,

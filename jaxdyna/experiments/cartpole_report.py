@@ -1,4 +1,4 @@
-"""What the CartPole experiment leaves behind: Figs. 5 and 6, the table, and the model's accuracy."""
+"""What the CartPole experiment leaves behind: Figs. 5 and 6, the table, the model's accuracy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rich.console import Console
 from jaxdyna.experiments import plots, report
 from jaxdyna.experiments.report import Results, interval, markdown_table
 from jaxdyna.experiments.run import Arm, ArmRun
-from jaxdyna.models.evaluation import one_step, one_step_sums, open_loop
+from jaxdyna.models.evaluation import Predict, one_step, one_step_sums, open_loop
 from jaxdyna.rollout import rollout
 from jaxdyna.statistics import SolveRule, episodes_to_solve, r_squared
 
@@ -40,15 +40,18 @@ class CartPoleReport:
         """Judges a trained model on episodes that it never saw, played by the final policy."""
         if arm.dyna.model is None:
             return {}
+        predict = arm.dyna.model.predict
         seeds = run.metrics["real_return"].shape[0]
-        judged = jax.jit(jax.vmap(lambda state, key: _judge(arm, state, key)))(
+        judged = jax.jit(jax.vmap(lambda state, key: _judge(arm, predict, state, key)))(
             run.state, jax.random.split(jax.random.fold_in(key, 0), seeds)
         )
         first = jax.tree.map(lambda leaf: leaf[0], run.state)
-        shown = jax.jit(lambda state, key: _example(arm, state, key))(
+        shown = jax.jit(lambda state, key: _example(arm, predict, state, key))(
             first, jax.random.fold_in(key, 1)
         )
-        return jax.tree.map(np.asarray, {f"held_out_{name}": values for name, values in judged.items()} | shown)
+        return jax.tree.map(
+            np.asarray, {f"held_out_{name}": values for name, values in judged.items()} | shown
+        )
 
     def describe(self, curves: Curves) -> Results:
         """One-step R² per state variable, of the next state and of its change."""
@@ -61,7 +64,11 @@ class CartPoleReport:
                 held["state_error"], held[f"{kind}_sum"], held[f"{kind}_square"], held["count"]
             )
             model[f"one_step_r2_{kind}"] = {
-                name: {"mean": float(values.mean()), "min": float(values.min()), "per_seed": values.tolist()}
+                name: {
+                    "mean": float(values.mean()),
+                    "min": float(values.min()),
+                    "per_seed": values.tolist(),
+                }
                 for name, values in zip(STATES, per_seed.T, strict=True)
             }
         return {"model": model | {"held_out_transitions": int(held["count"].sum())}}
@@ -91,8 +98,9 @@ class CartPoleReport:
         parts = [
             f"# CartPole, `{self.preset}` preset",
             f"`{results['command']}`",
-            f"{_seeds(results)} runs of each arm. Rule: {self.rule}. It is the same for all arms and "
-            "counts every real episode; an unsolved run is never dropped: it leaves the mean undefined.",
+            f"{_seeds(results)} runs of each arm. {str(self.rule).capitalize()}. The rule is the same "
+            "for all arms and counts every real episode. An unsolved run is never dropped: it leaves "
+            "the mean undefined, of which only a lower bound (≥) is then known.",
             markdown_table(header, rows),
             *self._comparison(results),
             "![Fig. 6: return against real episodes](fig6.png)",
@@ -118,7 +126,9 @@ class CartPoleReport:
         lines = []
         for name, ratio in results["ratio_to_model_free"].items():
             if ratio["ratio"] is None:
-                lines.append(f"{name} : model_free is undefined, because a run of one did not solve.")
+                lines.append(
+                    f"{name} : model_free is undefined, because a run of one did not solve."
+                )
                 continue
             paper = f"; the paper's is {PAPER_RATIO}" if name == "dyna" else ""
             lines.append(
@@ -134,35 +144,40 @@ class CartPoleReport:
                 continue
             rows = []
             for state in STATES:
-                values = [arm["model"][f"one_step_r2_{kind}"][state] for kind in ("state", "change")]
-                rows.append([state, *(f"{v[part]:.4f}" for v in values for part in ("mean", "min"))])
+                values = [
+                    arm["model"][f"one_step_r2_{kind}"][state] for kind in ("state", "change")
+                ]
+                rows.append(
+                    [state, *(f"{v[part]:.4f}" for v in values for part in ("mean", "min"))]
+                )
             parts += [
                 f"## The model of `{name}`",
                 f"One-step R² on {HELD_OUT_EPISODES} new episodes of each run's final policy "
-                f"({arm['model']['held_out_transitions']:,} transitions that no model was trained on). "
+                f"({arm['model']['held_out_transitions']:,} transitions, none of them trained on). "
                 "The next state is easy to explain, because it is close to the state before; the "
                 "change of the state is the harder test.",
                 markdown_table(
-                    ["variable", "next state: mean", "worst seed", "change: mean", "worst seed"], rows
+                    ["variable", "next state: mean", "worst seed", "change: mean", "worst seed"],
+                    rows,
                 ),
                 f"![Fig. 5: predictions of the first seed's model](fig5_{name}.png)",
             ]
         return parts
 
 
-def _judge(arm: Arm, state: Any, key: jax.Array) -> dict[str, jax.Array]:
+def _judge(arm: Arm, predict: Predict, state: Any, key: jax.Array) -> dict[str, jax.Array]:
     key_play, key_judge = jax.random.split(key)
     real = _play(arm, state, key_play, HELD_OUT_EPISODES)
-    return one_step_sums(arm.dyna.model.predict)(state.model.params, real, key_judge)
+    return one_step_sums(predict)(state.model.params, real, key_judge)
 
 
-def _example(arm: Arm, state: Any, key: jax.Array) -> dict[str, jax.Array]:
+def _example(arm: Arm, predict: Predict, state: Any, key: jax.Array) -> dict[str, jax.Array]:
     """Truth and predictions of one episode of the policy and one of a random policy."""
     arrays = {}
-    for name, key in zip(("policy", "random"), jax.random.split(key), strict=True):
-        key_play, key_one, key_open = jax.random.split(key, 3)
+    for name, key_episode in zip(("policy", "random"), jax.random.split(key), strict=True):
+        key_play, key_one, key_open = jax.random.split(key_episode, 3)
         real = _play(arm, state, key_play, 1, at_random=name == "random")
-        predict, params = arm.dyna.model.predict, state.model.params
+        params = state.model.params
         step = jax.tree.map(lambda leaf: leaf[0], one_step(predict, params, real, key_one))
         free = open_loop(predict, params, real.obs[0, 0], real.action[0], key_open)
         truth = (real.next_obs[0], real.reward[0], real.terminated[0])
@@ -201,15 +216,14 @@ def _seeds(results: Results) -> int:
 def _timing(results: Results) -> list[str]:
     timing = results["timing"]
     rows = [
-        [name, f"{arm['compile_s']:.1f}", f"{arm['run_s']:.1f}"] for name, arm in timing["arms"].items()
+        [name, f"{arm['compile_s']:.1f}", f"{arm['run_s']:.1f}"]
+        for name, arm in timing["arms"].items()
     ]
     device = results["device"]
     return [
         "## Time",
         f"{timing['total_s']:.1f} s in all on {device['cpu_cores']} cores ({device['platform']}): "
-        f"{timing['compile_s']:.1f} s compiling, {timing['run_s']:.1f} s running, the rest imports, "
+        f"{timing['compile_s']:.1f} s compiling, {timing['run_s']:.1f} s running, the rest "
         "judging the models and drawing.",
         markdown_table(["arm", "compiling (s)", "running (s)"], rows),
     ]
-
-

@@ -32,7 +32,10 @@ class Checkpoints:
     def save(self, step: int, state: Any, metrics: Metrics, run_s: float) -> None:
         """Writes the whole state: parameters, optimisers, replay and random keys."""
         with self._manager() as manager:
-            leaves = [jax.random.key_data(leaf) if _is_key(leaf) else leaf for leaf in jax.tree.leaves(state)]
+            leaves = [
+                jax.random.key_data(leaf) if _is_key(leaf) else leaf
+                for leaf in jax.tree.leaves(state)
+            ]
             numbered = {f"{number:04}": leaf for number, leaf in enumerate(leaves)}
             items = {"state": numbered, "metrics": metrics, "run_s": np.float64(run_s)}
             manager.save(step, args=ocp.args.StandardSave(items), force=True)

@@ -77,7 +77,7 @@ def _preset_name(argv: list[str]) -> str:
 
 def _one_line(panel: str) -> str:
     """The message inside a framed panel, up to its first rule."""
-    inside = []
+    inside: list[str] = []
     for line in panel.splitlines():
         text = line.strip("│╭╮╰╯─ ")
         if set(line) <= set("│─ ") and inside:

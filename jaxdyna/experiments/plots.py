@@ -42,9 +42,17 @@ def learning_curves(
     )
     for letter, panel, (name, values) in zip("abcdefgh", panels[0], returns.items(), strict=False):
         draw_seeds(panel, values, colour(name))
-        panel.axhline(threshold, color="#c0392b", linewidth=1, linestyle="--", label=f"solved: {threshold:g}")
+        panel.axhline(
+            threshold, color="#c0392b", linewidth=1, linestyle="--", label=f"solved: {threshold:g}"
+        )
         if name != "model_free":
-            panel.axvline(real_first, color="#888888", linewidth=1, linestyle=":", label=f"dreams begin: {real_first}")
+            panel.axvline(
+                real_first,
+                color="#888888",
+                linewidth=1,
+                linestyle=":",
+                label=f"dreams begin: {real_first}",
+            )
         solved = solved_at[name][np.isfinite(solved_at[name])]
         said = f"{len(solved)}/{len(solved_at[name])} solved"
         said += f", mean after {solved.mean():.0f}" if len(solved) == len(solved_at[name]) else ""
@@ -89,7 +97,7 @@ def prediction_figure(
     )  # fmt: skip
     styles = {
         "truth": {"color": "#d08770", "linewidth": 3.0, "label": "real environment"},
-        "one_step": {"color": "#0f7b6c", "linewidth": 1.2, "label": "model, one step from the truth"},
+        "one_step": {"color": "#0f7b6c", "linewidth": 1.2, "label": "model, one step ahead"},
         "open_loop": {
             "color": "#6a4c93", "linewidth": 1.2, "linestyle": "--",
             "label": "model, fed with its own predictions",
@@ -135,7 +143,9 @@ def solve_bars(path: Path, solved_at: Mapping[str, np.ndarray], limit: int, titl
     panel.text(limit * 1.012, len(solved_at) - 0.4, "unsolved", color="#c0392b", fontsize=8)
     panel.set_yticks(range(len(solved_at)), list(solved_at), fontsize=8)
     panel.invert_yaxis()
-    panel.set_xlabel(f"episodes to solve (dot: a seed; bar: mean, an unsolved seed counted as {limit})")
+    panel.set_xlabel(
+        f"episodes to solve (dot: a seed; bar: mean, an unsolved seed counted as {limit})"
+    )
     panel.set_title(title, loc="left", fontsize=10)
     panel.spines[["top", "right"]].set_visible(False)
     _save(figure, path)
@@ -155,7 +165,7 @@ def running_mean(values: np.ndarray, window: int) -> np.ndarray:
 
 
 def mean_interval(values: np.ndarray, resamples: int = 400) -> np.ndarray:
-    """Bootstrap 95% interval of the mean over seeds: ``[2, episodes]`` from ``[seeds, episodes]``."""
+    """Bootstrap 95% interval of the mean over seeds: ``[2, episodes]``."""
     generator = np.random.default_rng(0)
     weights = generator.multinomial(len(values), np.full(len(values), 1 / len(values)), resamples)
     return np.percentile(weights @ values / len(values), [2.5, 97.5], axis=0)

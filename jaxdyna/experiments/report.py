@@ -109,9 +109,11 @@ def write_json(path: Path, results: Results) -> None:
 
 def write_curves(path: Path, arms: Mapping[str, Curves]) -> None:
     """Writes every array as ``ARM/NAME``, whole or not at all."""
-    flat = {f"{arm}/{name}": values for arm, curves in arms.items() for name, values in curves.items()}
+    flat = {
+        f"{arm}/{name}": values for arm, curves in arms.items() for name, values in curves.items()
+    }
     temporary = path.with_suffix(".part.npz")
-    np.savez_compressed(temporary, **flat)
+    np.savez_compressed(temporary, allow_pickle=False, **flat)
     temporary.replace(path)
 
 
@@ -142,7 +144,7 @@ def number(summary: Summary, statistic: str = "mean", digits: int = 0) -> str:
     value = summary[statistic]
     if value is None and statistic == "mean" and "mean_at_least" in summary:
         return f"≥ {summary['mean_at_least']:,.{digits}f}"
-    return "–" if value is None else f"{value:,.{digits}f}"
+    return "-" if value is None else f"{value:,.{digits}f}"
 
 
 def interval(ends: Sequence[float | None], digits: int = 0) -> str:
@@ -163,7 +165,7 @@ def arm_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str], 
         rows.append(
             [
                 name,
-                f"{paper[name]:g}" if name in paper else "–",
+                f"{paper[name]:g}" if name in paper else "-",
                 number(solve),
                 interval(solve["ci95"]),
                 number(solve, "median"),

@@ -79,7 +79,8 @@ class Runner:
         began = time.perf_counter()
         start, proceed = self._compile(arm, piece)
         compile_s, run_s = time.perf_counter() - began, 0.0
-        state, pieces = start(self.keys, arm.hparams), []
+        state = start(jax.random.clone(self.keys), arm.hparams)
+        pieces: list[dict[str, np.ndarray]] = []
         if resume and checkpoints and checkpoints.exists():
             state, pieces, run_s = checkpoints.load(state)
         saved = time.perf_counter()
@@ -106,8 +107,12 @@ class Runner:
         if known not in self.programs:
             init, advance = make_init(arm.dyna, arm.config), make_advance(arm.dyna, arm.config)
             start, proceed = make_pieces(init, advance)
-            state = start(self.keys, arm.hparams)
-            whole = proceed.lower(state, jnp.arange(piece), arm.hparams).compile()
+            state = jax.eval_shape(start, jax.random.clone(self.keys), arm.hparams)
+            whole = (
+                jax.jit(proceed, donate_argnums=0)
+                .lower(state, jnp.arange(piece), arm.hparams)
+                .compile()
+            )
 
             def proceed_any(state, episodes, hparams):
                 return (whole if len(episodes) == piece else proceed)(state, episodes, hparams)

@@ -108,7 +108,8 @@ class Session:
         except KeyboardInterrupt:
             code = 130
             self.console.print(
-                f"Interrupted. What is finished is in {self.out}; go on with the same command and --resume."
+                f"Interrupted. What is finished is in {self.out}; "
+                "the same command with --resume goes on."
             )
         if curves:
             self._write(curves, figures=True)
@@ -135,7 +136,9 @@ class Session:
                     continue
                 runner.report = self._reporter(progress, bar)
                 done = runner.run(name, arm, resume=self.options.resume)
-                progress.update(bar, note=f"{progress.tasks[bar].fields['note']}, judging the model")
+                progress.update(
+                    bar, note=f"{progress.tasks[bar].fields['note']}, judging the model"
+                )
                 key = jax.random.fold_in(jax.random.key(self.options.seed), 1)
                 curves[name] = done.metrics | self.report.analyse(arm, done, key)
                 self._timing[name] = {"compile_s": done.compile_s, "run_s": done.run_s}
@@ -210,8 +213,7 @@ class Session:
             "preset": self.options.preset,
             "config": plain(self.options),
             **environment(),
-            "timing": total
-            | {"total_s": time.perf_counter() - self._began, "arms": self._timing},
+            "timing": total | {"total_s": time.perf_counter() - self._began, "arms": self._timing},
             "arms": arms,
             "ratio_to_model_free": compare(arms, "model_free"),
         }

@@ -44,11 +44,13 @@ def open_loop(predict: Predict, params: Any, obs: jax.Array, action: jax.Array, 
         A `Prediction` ``[T, ...]``; it goes on past any predicted end.
     """
 
-    def step(obs, inputs):
-        prediction = predict(params, obs, *inputs)
-        return prediction.next_obs, prediction
+    def step(carry, action):
+        obs, key = carry
+        key, key_predict = jax.random.split(key)
+        prediction = predict(params, obs, action, key_predict)
+        return (prediction.next_obs, key), prediction
 
-    _, predictions = jax.lax.scan(step, obs, (action, jax.random.split(key, action.shape[0])))
+    _, predictions = jax.lax.scan(step, (obs, key), action)
     return predictions
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -159,7 +159,8 @@ def supervised(
         target = raw_target(batch.obs, batch.next_obs)
         params = state.params
         if config.normalise:
-            params = params.replace(
+            params = replace(
+                params,
                 inputs=_update_moments(params.inputs, batch.obs, weight),
                 targets=_update_moments(params.targets, target, weight),
             )
@@ -185,7 +186,7 @@ def supervised(
         (_, loss), grads = jax.value_and_grad(loss_fn, has_aux=True)(params.network)
         optimizer = config.optimizer(hparams.learning_rate)
         updates, opt_state = optimizer.update(grads, state.opt_state, params.network)
-        params = params.replace(network=optax.apply_updates(params.network, updates))
+        params = replace(params, network=optax.apply_updates(params.network, updates))
         new = SupervisedState(params, opt_state)
         any_weight = (weight > 0).any()
         new = jax.tree.map(lambda new, old: jnp.where(any_weight, new, old), new, state)

@@ -1,0 +1,81 @@
+"""Small parts that several tests put together."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdyna import replay
+from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
+from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams
+from jaxdyna.envs import CartPole
+from jaxdyna.models import (
+    LearnedEnvironment,
+    LearnedParams,
+    SupervisedConfig,
+    SupervisedHParams,
+    supervised,
+)
+from jaxdyna.models.evaluation import one_step_sums
+from jaxdyna.types import Prediction
+
+ENV = CartPole()
+AGENT = reinforce((4,), 2, ReinforceConfig(hidden=(8,)))
+MODEL = supervised(4, 2, SupervisedConfig(hidden=(16,), normalise=True, sum_loss=False))
+LEARNED = LearnedEnvironment(ENV, MODEL.predict, lambda key, starts: replay.sample(starts, key, ()))
+SMALL = DynaConfig(
+    num_episodes=6, num_real_first=2, num_steps=20, model_updates=2, model_batch=8, dream_episodes=2
+)
+
+MODEL_FREE = Dyna(ENV, AGENT)
+DYNA = Dyna(
+    ENV,
+    AGENT,
+    MODEL,
+    Dream(
+        LEARNED,
+        lambda state, hparams: LearnedParams(
+            state.model.params, state.starts, hparams.termination_threshold, 20
+        ),
+    ),
+    one_step_sums(MODEL.predict),
+)
+ORACLE = Dyna(ENV, AGENT, dream=Dream(ENV, lambda state, hparams: hparams.env))
+
+
+def hparams(**changes):
+    """Default hyper-parameters of a run."""
+    return DynaHParams(
+        ReinforceHParams(), SupervisedHParams(), ENV.default_params.replace(max_steps=20)
+    ).replace(**changes)
+
+
+def random_act(obs, key):
+    """A uniformly random policy."""
+    return jax.random.randint(key, (), 0, 2)
+
+
+def perfect_predict(params, obs, action, key):
+    """CartPole's own dynamics as a model's ``predict``."""
+    _, state = ENV.reset(jax.random.key(0), params)
+    state = state.replace(x=obs[0], x_dot=obs[1], theta=obs[2], theta_dot=obs[3])
+    next_obs, _, reward, terminated, _, _ = ENV.step(key, state, action, params)
+    return Prediction(next_obs, reward, terminated.astype(jnp.float32), jnp.float32(0))
+
+
+def assert_same(left, right):
+    """Bit for bit equality of two pytrees, keys included."""
+
+    def raw(leaf):
+        is_key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        return np.asarray(jax.random.key_data(leaf) if is_key else leaf)
+
+    assert jax.tree.structure(left) == jax.tree.structure(right)
+    for one, other in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
+        np.testing.assert_array_equal(raw(one), raw(other))
+
+
+def assert_close(left, right, tolerance=1e-5):
+    """Equality up to float32 rounding."""
+    assert jax.tree.structure(left) == jax.tree.structure(right)
+    for one, other in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
+        np.testing.assert_allclose(one, other, rtol=tolerance, atol=tolerance)

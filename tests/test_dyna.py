@@ -1,0 +1,100 @@
+"""The two-phase loop."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from parts import DYNA, MODEL_FREE, ORACLE, SMALL, assert_close, assert_same, hparams
+
+from jaxdyna.dyna import DynaConfig, make_advance, make_init, make_train
+
+
+def train(dyna, config=SMALL, seed=0, **changes):
+    return jax.jit(make_train(dyna, config))(jax.random.key(seed), hparams(**changes))
+
+
+@pytest.fixture(scope="module")
+def dyna_run():
+    return train(DYNA)
+
+
+def test_metrics_and_phases(dyna_run):
+    state, metrics = dyna_run
+    assert all(values.shape[0] == SMALL.num_episodes for values in metrics.values())
+    np.testing.assert_array_equal(np.isnan(metrics["fake_return"]), [True] * 2 + [False] * 4)
+    np.testing.assert_array_equal(metrics["real_return"], metrics["real_length"])
+    assert state.replay.added == metrics["real_length"].sum()
+    assert state.starts.added == SMALL.num_episodes
+    np.testing.assert_array_equal(metrics["count"], metrics["real_length"])
+
+
+def test_fake_weight_zero_is_the_model_free_arm_bit_for_bit(dyna_run):
+    free, free_metrics = train(MODEL_FREE)
+    state, metrics = train(DYNA, fake_weight=0.0)
+    assert_same(state.agent, free.agent)
+    np.testing.assert_array_equal(metrics["real_return"], free_metrics["real_return"])
+    assert not np.array_equal(jax.tree.leaves(dyna_run[0].agent)[0], jax.tree.leaves(free.agent)[0])
+
+
+def test_masked_real_first_is_a_later_start_of_dreams():
+    later, late_metrics = train(DYNA, num_real_first=4)
+    config = DynaConfig(**{**vars(SMALL), "num_real_first": 4})
+    skipped, metrics = train(DYNA, config)
+    assert_same(later.agent, skipped.agent)
+    assert_same(later.model, skipped.model)
+    np.testing.assert_array_equal(late_metrics["real_return"], metrics["real_return"])
+
+
+def test_a_run_in_pieces_is_the_same_run(dyna_run):
+    init, advance = make_init(DYNA, SMALL), jax.jit(make_advance(DYNA, SMALL))
+    state = init(jax.random.key(0), hparams())
+    state, first = advance(state, jnp.arange(0, 3), hparams())
+    state, second = advance(state, jnp.arange(3, 6), hparams())
+    assert_same(state, dyna_run[0])
+    assert_same(jax.tree.map(lambda *parts: jnp.concatenate(parts), first, second), dyna_run[1])
+
+
+def test_jit_is_eager():
+    config = DynaConfig(**{**vars(SMALL), "num_episodes": 2, "num_real_first": 1, "num_steps": 2})
+    compiled = train(DYNA, config)
+    with jax.disable_jit():
+        eager = make_train(DYNA, config)(jax.random.key(0), hparams())
+    assert_close(compiled[1], eager[1], 1e-4)
+    assert_close(compiled[0].agent, eager[0].agent, 1e-4)
+
+
+def test_dreams_improve_the_policy_where_the_dream_is_true():
+    """With the true world for a dream, many dreams beat none on the same real episodes."""
+    config = DynaConfig(
+        num_episodes=30, num_real_first=2, num_steps=60, dream_updates=4, dream_episodes=8
+    )
+    params = hparams().env.replace(max_steps=60)
+    _, oracle = train(ORACLE, config, env=params)
+    _, free = train(MODEL_FREE, config, env=params)
+    assert oracle["real_return"][-10:].mean() > 1.3 * free["real_return"][-10:].mean()
+    np.testing.assert_array_equal(oracle["real_return"][:2], free["real_return"][:2])
+
+
+def test_forgetting_empties_the_replay():
+    config = DynaConfig(**{**vars(SMALL), "forget_every": 4})
+    state, metrics = train(DYNA, config)
+    assert state.replay.added == metrics["real_length"][4:].sum()
+
+
+def test_a_dreamed_world_knows_only_observed_starts(dyna_run):
+    starts = np.asarray(dyna_run[0].starts.data)
+    assert starts.shape == (6, 4) and (np.abs(starts) <= 0.05).all() and starts.std() > 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"num_episodes": -3}, "num_episodes is -3"),
+        ({"num_real_first": 7}, "lower N or raise"),
+        ({"model_updates": -1}, "must not be negative"),
+        ({"replay_capacity": 3}, "at least one episode"),
+    ],
+)
+def test_clear_errors(changes, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        DynaConfig(**{**vars(SMALL), **changes})

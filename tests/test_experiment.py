@@ -1,0 +1,165 @@
+"""The command line from start to report."""
+
+import json
+import signal
+
+import numpy as np
+import pytest
+from parts import assert_same
+
+from jaxdyna.experiments import cartpole, run
+from jaxdyna.experiments.run import piece_length
+
+TINY = [
+    "--seeds", "2", "--episodes", "24", "--real-first", "4", "--model.hidden", "16",
+    "--model-updates", "2", "--dream-episodes", "2",
+]  # fmt: skip
+
+
+def play(out, *more):
+    return cartpole.main([*TINY, "--out", str(out), *more])
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    out = tmp_path_factory.mktemp("run")
+    assert play(out, "--arms", "model_free", "dyna", "placebo", "oracle") == 0
+    return out
+
+
+def test_results_keep_the_contract(finished):
+    results = json.loads((finished / "results.json").read_text())
+    for key in (
+        "experiment",
+        "command",
+        "preset",
+        "config",
+        "versions",
+        "device",
+        "timing",
+        "arms",
+    ):
+        assert key in results
+    assert set(results["timing"]) >= {"compile_s", "run_s", "total_s"}
+    assert list(results["arms"]) == ["model_free", "dyna", "placebo", "oracle"]
+    for arm in results["arms"].values():
+        assert "solve_rule" in arm
+        for key in ("episodes_to_solve", "first_solved", "real_steps_to_solve", "final_return"):
+            assert set(arm[key]) >= {"per_seed", "mean", "median", "iqm", "ci95", "solved", "seeds"}
+            assert len(arm[key]["per_seed"]) == arm[key]["seeds"] == 2
+        assert arm["episodes_to_solve"]["per_seed"] == [None, None]
+        assert arm["final_return"]["mean"] > 5
+    assert results["config"]["seeds"] == 2 and results["command"].startswith("python -m jaxdyna")
+    assert set(results["arms"]["dyna"]["model"]["one_step_r2_state"]) == {
+        "cart position", "cart velocity", "pole angle", "pole angular velocity"
+    }  # fmt: skip
+
+
+def test_curves_hold_every_episode_of_every_seed(finished):
+    curves = np.load(finished / "curves.npz")
+    for arm in ("model_free", "dyna", "placebo", "oracle"):
+        assert curves[f"{arm}/real_return"].shape == curves[f"{arm}/real_length"].shape == (2, 24)
+    np.testing.assert_array_equal(
+        curves["model_free/real_return"][:, :4], curves["dyna/real_return"][:, :4]
+    )
+    assert np.isfinite(curves["dyna/fake_return"][:, 4:]).all()
+    assert (curves["dyna/state_error"] > 0).all()
+
+
+def test_report_and_figures(finished):
+    report = (finished / "report.md").read_text()
+    for name in ("fig6.png", "fig5_dyna.png", "fig5_placebo.png"):
+        assert f"({name})" in report
+        assert (finished / name).read_bytes().startswith(b"\x89PNG")
+    assert "nan" not in report.lower().replace("finance", "")
+    assert not (finished / "checkpoints").exists()
+
+
+def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatch):
+    """Ctrl-C after the second arm's first piece; its other arms and episodes follow on resume."""
+    monkeypatch.setattr(run, "PIECE_EPISODES", 12)
+    arms = ["--arms", "model_free", "dyna"]
+    original = run.Runner.run
+
+    def interrupted_run(self, name, arm, resume=False):
+        report = self.report
+
+        def interrupt(stage, done, total, solved):
+            report(stage, done, total, solved)
+            if (name, stage, done) == ("dyna", "running", 12):
+                signal.raise_signal(signal.SIGINT)
+
+        self.report = interrupt
+        return original(self, name, arm, resume)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run.Runner, "run", interrupted_run)
+        assert play(tmp_path, *arms) == 130
+    partial = json.loads((tmp_path / "results.json").read_text())
+    assert list(partial["arms"]) == ["model_free"] and (tmp_path / "report.md").exists()
+    assert (tmp_path / "checkpoints" / "dyna").is_dir()
+
+    with pytest.raises(SystemExit) as stop:
+        play(tmp_path, *arms, "--resume", "--model-batch", "3")
+    assert stop.value.code == 2
+
+    played = []
+    monkeypatch.setattr(run.Runner, "run", lambda self, name, *rest, **settings: (
+        played.append(name), original(self, name, *rest, **settings))[1])  # fmt: skip
+    assert play(tmp_path, *arms, "--resume") == 0
+    assert played == ["dyna"]
+    ours, whole = (np.load(folder / "curves.npz") for folder in (tmp_path, finished))
+    assert_same({k: ours[k] for k in ours.files}, {k: whole[k] for k in ours.files})
+    assert {name.split("/")[0] for name in ours.files} == {"model_free", "dyna"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--episodes", "-5"], "--episodes is -5"),
+        (["--seeds", "0"], "--seeds is 0"),
+        (["--episodes", "50"], "num_real_first (N) is 100"),
+        (["--arms", "nonsense"], "nonsense"),
+        (["--preset", "nonsense"], "nonsense"),
+        (["--seeds", "many"], "many"),
+        (["--bogus", "1"], "--bogus"),
+        (["--out", "/dev/null/here"], "choose another folder"),
+        (["--resume", "--out", "/tmp/jaxdyna-nothing-here"], "nothing to resume"),
+        (["--model.ensemble", "0"], "at least 1"),
+        (["--hparams.termination-threshold", "2"], "between 0 and 1"),
+    ],
+)
+def test_bad_settings_end_in_one_line_and_code_2(arguments, complaint, capsys):
+    with pytest.raises(SystemExit) as stop:
+        cartpole.main(arguments)
+    captured = capsys.readouterr()
+    assert stop.value.code == 2
+    assert captured.out == "" and len(captured.err.strip().splitlines()) == 1
+    assert complaint in captured.err
+
+
+def test_help_names_the_contracts_options(capsys):
+    with pytest.raises(SystemExit) as stop:
+        cartpole.main(["--help"])
+    assert stop.value.code == 0
+    shown = capsys.readouterr().out
+    for option in ("--preset", "--seeds", "--seed", "--episodes", "--arms", "--out", "--resume"):
+        assert option in shown
+    assert "0x" not in shown
+
+
+def test_an_arm_stops_some_episodes_after_its_last_seed_solved(tmp_path):
+    """Without gravity and force nothing ever falls, so that the first window solves."""
+    still = ["--hparams.env.force-mag", "0", "--hparams.env.gravity", "0"]
+    still += ["--hparams.env.reset-bound", "0.01"]
+    arguments = ["--arms", "model_free", "--stop-after-solved", "20", *still]
+    for extra, length in (([], 120), (["--stop-after-solved", "None"], 160)):
+        play(tmp_path, "--episodes", "160", *arguments, *extra)
+        assert np.load(tmp_path / "curves.npz")["model_free/real_return"].shape == (2, length)
+    solve = json.loads((tmp_path / "results.json").read_text())["arms"]["model_free"]
+    assert solve["episodes_to_solve"]["mean"] == 100 and solve["first_solved"]["mean"] == 1
+    assert solve["real_steps_to_solve"]["mean"] == 0 and solve["final_return"]["mean"] == 200
+
+
+def test_piece_length_divides_where_it_can():
+    assert [piece_length(total) for total in (1000, 600, 24, 7, 997)] == [50, 50, 24, 7, 50]

@@ -1,0 +1,55 @@
+"""The ring buffer."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxdyna import replay
+
+
+def stored(buffer):
+    return sorted(np.asarray(buffer.data["x"])[: int(buffer.size)].tolist())
+
+
+def test_keeps_the_newest_and_skips_what_is_masked():
+    buffer = replay.init(5, {"x": jax.ShapeDtypeStruct((), jnp.int32)})
+    assert buffer.size == 0
+    buffer = replay.add(buffer, {"x": jnp.arange(1, 5)}, jnp.array([True, False, True, True]))
+    assert stored(buffer) == [1, 3, 4]
+    buffer = jax.jit(replay.add)(buffer, {"x": jnp.arange(5, 9)}, jnp.ones(4, bool))
+    assert stored(buffer) == [4, 5, 6, 7, 8]
+    assert int(buffer.added) == 7
+
+
+def test_flattens_leading_axes_of_every_leaf():
+    example = {"x": jnp.zeros((), jnp.int32), "y": jnp.zeros((2, 3))}
+    items = {"x": jnp.arange(6).reshape(2, 3), "y": jnp.arange(36.0).reshape(2, 3, 2, 3)}
+    buffer = replay.add(replay.init(8, example), items, jnp.ones((2, 3), bool))
+    np.testing.assert_array_equal(buffer.data["x"][:6], np.arange(6))
+    np.testing.assert_array_equal(buffer.data["y"][4], np.arange(24, 30).reshape(2, 3))
+
+
+def test_samples_every_held_item_equally_and_nothing_else():
+    buffer = replay.init(10, {"x": jnp.int32(0)})
+    buffer = replay.add(buffer, {"x": jnp.arange(1, 5)}, jnp.ones(4, bool))
+    drawn = replay.sample(buffer, jax.random.key(0), (100, 80))["x"]
+    assert drawn.shape == (100, 80)
+    counts = np.bincount(np.asarray(drawn).ravel(), minlength=6)
+    assert counts[0] == counts[5] == 0
+    np.testing.assert_allclose(counts[1:5], 2000, rtol=0.1)
+
+
+def test_vmapped_buffers_fill_at_their_own_pace():
+    buffers = jax.vmap(lambda _: replay.init(4, {"x": jnp.int32(0)}))(jnp.arange(2))
+    masks = jnp.array([[True, True, True], [False, True, False]])
+    buffers = jax.vmap(replay.add, (0, None, 0))(buffers, {"x": jnp.arange(3) + 1}, masks)
+    np.testing.assert_array_equal(buffers.added, [3, 1])
+    np.testing.assert_array_equal(buffers.data["x"], [[1, 2, 3, 0], [2, 0, 0, 0]])
+
+
+def test_clear_errors():
+    with pytest.raises(ValueError, match="at least 1"):
+        replay.init(0, jnp.zeros(()))
+    with pytest.raises(ValueError, match="5 items at once"):
+        replay.add(replay.init(3, jnp.zeros(())), jnp.zeros(5), jnp.ones(5, bool))

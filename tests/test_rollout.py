@@ -1,0 +1,122 @@
+"""The one rollout, on true and learned environments."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from parts import (
+    ENV,
+    LEARNED,
+    MODEL,
+    assert_close,
+    assert_same,
+    hparams,
+    perfect_predict,
+    random_act,
+)
+
+from jaxdyna import rollout
+from jaxdyna.models import LearnedEnvironment, LearnedParams, sample_rule, threshold_rule
+
+PARAMS = ENV.default_params
+
+
+def play(key=0, episodes=16, **settings):
+    return rollout(ENV, random_act, jax.random.key(key), PARAMS, episodes, **settings)
+
+
+def test_shapes_and_dtypes():
+    episodes = play()
+    assert episodes.obs.shape == episodes.next_obs.shape == (16, 200, 4)
+    for part in (episodes.action, episodes.reward, episodes.terminated, episodes.mask):
+        assert part.shape == (16, 200)
+    assert episodes.mask.dtype == episodes.terminated.dtype == episodes.truncated.dtype == bool
+
+
+def test_every_episode_is_one_run_and_ends_once():
+    episodes = jax.tree.map(np.asarray, play())
+    lengths = episodes.mask.sum(1)
+    assert lengths.min() >= 8 and lengths.max() < 200
+    for row, length in enumerate(lengths):
+        assert episodes.mask[row, :length].all()
+        ends = episodes.terminated[row] | episodes.truncated[row]
+        assert ends.nonzero()[0].tolist() == [length - 1]
+        np.testing.assert_array_equal(
+            episodes.obs[row, 1:length], episodes.next_obs[row, : length - 1]
+        )
+        assert episodes.reward[row].sum() == length
+        np.testing.assert_array_equal(
+            episodes.obs[row, length:],
+            np.tile(episodes.next_obs[row, length - 1], (200 - length, 1)),
+        )
+        assert (episodes.reward[row, length:] == 0).all()
+
+
+def test_termination_and_truncation_are_apart():
+    episodes = play(episodes=64, num_steps=15)
+    assert episodes.mask.shape == (64, 15)
+    outlasted = np.asarray(episodes.mask.all(1) & ~episodes.terminated[:, -1])
+    assert 0 < outlasted.sum() < 64
+    np.testing.assert_array_equal(episodes.truncated[:, -1], outlasted)
+    assert not np.asarray(episodes.truncated[:, :-1]).any()
+    assert not np.asarray(episodes.truncated & episodes.terminated).any()
+
+
+def test_stored_transitions_are_the_environments_own():
+    episodes = play(episodes=4)
+    valid = np.asarray(episodes.mask)
+    predict = jax.vmap(perfect_predict, (None, 0, 0, None))
+    truth = predict(PARAMS, episodes.obs[valid], episodes.action[valid], jax.random.key(1))
+    np.testing.assert_allclose(truth.next_obs, episodes.next_obs[valid], rtol=1e-5, atol=1e-7)
+    np.testing.assert_array_equal(truth.terminated > 0, episodes.terminated[valid])
+
+
+@pytest.mark.parametrize("rule", [threshold_rule, sample_rule])
+def test_a_perfect_model_is_the_true_environment(rule):
+    """Same keys, same policy: the wrapped true dynamics give the true rollout, bit for bit."""
+    world = LearnedEnvironment(
+        ENV, perfect_predict, lambda key, start: ENV.reset(key, start)[0], rule
+    )
+    params = LearnedParams(model=PARAMS, start=PARAMS, max_steps=30)
+    real = rollout(ENV, random_act, jax.random.key(5), PARAMS.replace(max_steps=30), 32)
+    fake = rollout(world, random_act, jax.random.key(5), params, 32)
+    assert 0 < np.asarray(real.truncated).sum() < 32
+    assert_same(real, fake)
+
+
+def test_dreams_end_by_the_threshold_and_the_horizon():
+    weights = MODEL.init(jax.random.key(0), hparams().model).params
+    world = LearnedEnvironment(ENV, MODEL.predict, lambda key, start: start)
+    for threshold, length in ((1.0, 9), (0.0, 1)):
+        params = LearnedParams(weights, jnp.zeros(4), threshold, max_steps=9)
+        episodes = rollout(world, random_act, jax.random.key(1), params, 3)
+        np.testing.assert_array_equal(episodes.mask.sum(1), [length] * 3)
+    assert LEARNED.num_actions == 2
+    assert LEARNED.observation_space(params) == ENV.observation_space(PARAMS)
+
+
+def test_jit_is_eager_and_rows_do_not_depend_on_each_other():
+    def run(key, params):
+        return rollout(ENV, random_act, key, params, 3, num_steps=12)
+
+    eager = run(jax.random.key(2), PARAMS)
+    assert_close(jax.jit(run)(jax.random.key(2), PARAMS), eager)
+    keys = jax.random.split(jax.random.key(3), 4)
+    together = jax.vmap(run, (0, None))(keys, PARAMS)
+    for row, key in enumerate(jax.random.split(jax.random.key(3), 4)):
+        assert_close(jax.tree.map(lambda leaf, row=row: leaf[row], together), run(key, PARAMS))
+
+
+def test_a_swept_horizon_needs_no_second_program():
+    def lengths(max_steps):
+        params = PARAMS.replace(max_steps=max_steps)
+        return rollout(ENV, random_act, jax.random.key(0), params, 8).mask.sum(1)
+
+    short, long = jax.jit(jax.vmap(lengths))(jnp.array([5, 200]))
+    np.testing.assert_array_equal(short, [5] * 8)
+    np.testing.assert_array_equal(long, play(episodes=8).mask.sum(1))
+
+
+def test_clear_errors():
+    with pytest.raises(ValueError, match="0 episodes"):
+        play(episodes=0)

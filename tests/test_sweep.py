@@ -1,0 +1,66 @@
+"""Seeds x settings in one call."""
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from parts import DYNA, SMALL, assert_close, assert_same, hparams
+
+from jaxdyna import sweep
+from jaxdyna.dyna import make_advance, make_init, make_train
+from jaxdyna.sweep import make_pieces
+
+SWEPT = {
+    "fake_weight": jnp.array([0.0, 1.0, 1.0]),
+    "num_real_first": jnp.array([2, 2, 4]),
+    "termination_threshold": jnp.array([0.5, 0.2, 0.5]),
+}
+
+
+def test_every_row_is_the_separate_run():
+    train = make_train(DYNA, SMALL)
+    keys = jax.random.split(jax.random.key(0), 2)
+    _, metrics = sweep(train, keys, hparams(**SWEPT))
+    assert metrics["real_return"].shape == (3, 2, SMALL.num_episodes)
+    alone = jax.jit(train)
+    for setting in range(3):
+        changes = {name: values[setting] for name, values in SWEPT.items()}
+        for seed, key in enumerate(jax.random.split(jax.random.key(0), 2)):
+            _, expected = alone(key, hparams(**changes))
+            row = jax.tree.map(lambda leaf, at=(setting, seed): leaf[at], metrics)
+            assert_close(row, expected, 1e-3)
+    assert len(np.unique(metrics["agent_loss"][:, 0, -1])) == 3
+
+
+def test_it_compiles_once_for_a_shape():
+    @chex.assert_max_traces(n=1)
+    def train(key, hparams):
+        return jax.random.uniform(key) * hparams["scale"]
+
+    for scale in (jnp.array([1.0, 2.0]), jnp.array([3.0, 4.0])):
+        out = sweep(train, jax.random.split(jax.random.key(0), 5), {"scale": scale, "other": 1.0})
+        assert out.shape == (2, 5)
+    assert_close(out[0] / 3, out[1] / 4)
+
+
+def test_nothing_swept_still_has_an_axis_for_settings():
+    out = sweep(lambda key, hparams: hparams, jax.random.split(jax.random.key(0), 2), 7.0)
+    np.testing.assert_array_equal(out, [[7, 7]])
+
+
+def test_pieces_are_the_whole():
+    keys = jax.random.split(jax.random.key(1), 2)
+    whole_state, whole = sweep(make_train(DYNA, SMALL), keys, hparams(**SWEPT))
+    start, proceed = make_pieces(make_init(DYNA, SMALL), make_advance(DYNA, SMALL))
+    state, parts = start(jax.random.split(jax.random.key(1), 2), hparams(**SWEPT)), []
+    for first in (0, 2, 4):
+        state, metrics = proceed(state, jnp.arange(first, first + 2), hparams(**SWEPT))
+        parts.append(metrics)
+    assert_same(state, whole_state)
+    assert_same(jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=2), *parts), whole)
+
+
+def test_clear_errors():
+    with pytest.raises(ValueError, match=r"lengths \[2, 3\]"):
+        sweep(lambda k, h: h, jax.random.split(jax.random.key(0), 2), (jnp.ones(2), jnp.ones(3)))
