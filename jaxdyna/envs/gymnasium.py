@@ -7,7 +7,7 @@ the host, so that other libraries can train in it.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import jax
@@ -49,7 +49,7 @@ class HostEnv(gymnasium.Env[np.ndarray, np.int64]):
         render_mode: None or ``"rgb_array"``.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 50}
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
 
     def __init__(self, env: Environment, params: Any = None, render_mode: str | None = None):
         self.env = env
@@ -92,7 +92,7 @@ class HostVectorEnv(VectorEnv):
         render_mode: None or ``"rgb_array"``.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata = {
         "render_modes": ["rgb_array"],
         "render_fps": 50,
         "autoreset_mode": AutoresetMode.NEXT_STEP,

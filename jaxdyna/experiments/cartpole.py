@@ -9,6 +9,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -32,7 +33,7 @@ from jaxdyna.models import (
     supervised,
     uniform_start,
 )
-from jaxdyna.models.evaluation import one_step_sums
+from jaxdyna.models.evaluation import Predict, one_step_sums
 from jaxdyna.statistics import SolveRule
 
 PROG = "python -m jaxdyna.experiments.cartpole"
@@ -75,6 +76,8 @@ class Options:
     """Fake episodes in each."""
     dream_start: Literal["observed", "uniform"] = "observed"
     """Where dreams begin: first observations of real episodes, or the authors' uniform ±0.1."""
+    authors_bug: bool = False
+    """Overwrite the dreamed pole angle with the cart's velocity, as the authors' code does."""
     forget_every: int = 0
     """Empty the replay every so many real episodes, as the authors' code does; 0 never."""
     agent: ReinforceConfig = field(default_factory=lambda: ReinforceConfig(advantage=per_step))
@@ -131,20 +134,26 @@ def dyna_config(options: Options) -> DynaConfig:
     )
 
 
-def make_arms(options: Options) -> dict[str, Arm]:
-    """The arms by name, each from the same parts; placebo is dyna with a learning rate of 0."""
-    config, env = dyna_config(options), CartPole()
-    env_params = replace(options.hparams.env, max_steps=config.num_steps)
-    hparams = replace(options.hparams, env=env_params)
-    agent = reinforce((4,), env.num_actions, options.agent)
-    model = supervised(4, env.num_actions, options.model)
-    observed = options.dream_start == "observed"
+@cache
+def make_dyna(
+    agent_config: ReinforceConfig,
+    model_config: SupervisedConfig,
+    dream_start: str,
+    authors_bug: bool,
+) -> Dyna:
+    """The parts of the ``dyna`` arm: one object, and so one program, for the same settings."""
+    env = CartPole()
+    agent = reinforce((4,), env.num_actions, agent_config)
+    model = supervised(4, env.num_actions, model_config)
+    observed = dream_start == "observed"
 
     def draw_observed(key, starts):
         return replay.sample(starts, key, ())
 
     learned = LearnedEnvironment(
-        env, model.predict, draw_observed if observed else uniform_start(-0.1, 0.1)
+        env,
+        overwrite_angle(model.predict) if authors_bug else model.predict,
+        draw_observed if observed else uniform_start(-0.1, 0.1),
     )
 
     def learned_params(state: DynaState, hparams: DynaHParams) -> LearnedParams:
@@ -155,15 +164,38 @@ def make_arms(options: Options) -> dict[str, Arm]:
             max_steps=hparams.env.max_steps,
         )
 
-    dyna = Dyna(env, agent, model, Dream(learned, learned_params), one_step_sums(model.predict))
+    return Dyna(env, agent, model, Dream(learned, learned_params), one_step_sums(model.predict))
+
+
+def overwrite_angle(predict: Predict) -> Predict:
+    """The slip in the authors' code behind "it struggled to make correct predictions for pole
+    angle": after every fake step the angle becomes the cart's velocity, clipped to the angles that
+    can be observed.
+    """
+
+    def slipped(params, obs, action, key):
+        prediction = predict(params, obs, action, key)
+        limit = 2 * CartPoleParams().theta_threshold
+        angle = jnp.clip(prediction.next_obs[1], -limit, limit)
+        return prediction._replace(next_obs=prediction.next_obs.at[2].set(angle))
+
+    return slipped
+
+
+def make_arms(options: Options) -> dict[str, Arm]:
+    """The arms by name, each from the same parts; placebo is dyna with a learning rate of 0."""
+    config = dyna_config(options)
+    dyna = make_dyna(options.agent, options.model, options.dream_start, options.authors_bug)
+    env_params = replace(options.hparams.env, max_steps=config.num_steps)
+    hparams = replace(options.hparams, env=env_params)
     untrained = replace(hparams, model=replace(hparams.model, learning_rate=0.0))
+    alone = Dyna(dyna.env, dyna.agent)
+    oracle = alone._replace(dream=Dream(dyna.env, lambda _, hparams: hparams.env))
     return {
-        "model_free": Arm(Dyna(env, agent), config, hparams),
+        "model_free": Arm(alone, config, hparams),
         "dyna": Arm(dyna, config, hparams),
         "placebo": Arm(dyna, config, untrained),
-        "oracle": Arm(
-            Dyna(env, agent, dream=Dream(env, lambda _, hparams: hparams.env)), config, hparams
-        ),
+        "oracle": Arm(oracle, config, hparams),
     }
 
 

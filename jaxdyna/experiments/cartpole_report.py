@@ -98,9 +98,9 @@ class CartPoleReport:
         parts = [
             f"# CartPole, `{self.preset}` preset",
             f"`{results['command']}`",
-            f"{_seeds(results)} runs of each arm. {str(self.rule).capitalize()}. The rule is the same "
-            "for all arms and counts every real episode. An unsolved run is never dropped: it leaves "
-            "the mean undefined, of which only a lower bound (≥) is then known.",
+            f"{_seeds(results)} runs of each arm. {str(self.rule).capitalize()}. The rule is the "
+            "same for all arms and counts every real episode. An unsolved run is never dropped: it "
+            "leaves the mean undefined, of which only a lower bound (≥) is then known.",
             markdown_table(header, rows),
             *self._comparison(results),
             "![Fig. 6: return against real episodes](fig6.png)",

@@ -148,7 +148,9 @@ def number(summary: Summary, statistic: str = "mean", digits: int = 0) -> str:
 
 
 def interval(ends: Sequence[float | None], digits: int = 0) -> str:
-    """``low to high``, with ∞ for an open end."""
+    """``low to high``, with ∞ for an open end; a dash where nothing is known."""
+    if all(end is None for end in ends):
+        return "-"
     low, high = ("∞" if end is None else f"{end:,.{digits}f}" for end in ends)
     return f"{low} to {high}"
 

@@ -1,0 +1,190 @@
+"""What the paper leaves open on CartPole, one detail at a time: which reading gives its effect?
+
+``python -m jaxdyna.experiments.cartpole_readings`` plays the ``dyna`` arm of the ``paper`` preset
+with one detail changed in each row, beside the model-free arm under several learning rates.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax
+import numpy as np
+from rich.console import Console
+
+from jaxdyna.agents.reinforce import over_batch, within_episode
+from jaxdyna.experiments import cartpole, cli, plots, report
+from jaxdyna.experiments.report import Results, interval, markdown_table, number
+from jaxdyna.experiments.run import Arm, ArmRun
+from jaxdyna.experiments.session import Session
+from jaxdyna.statistics import SolveRule, episodes_to_solve
+
+PROG = "python -m jaxdyna.experiments.cartpole_readings"
+Curves = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Options:
+    """One detail of the paper preset changed at a time."""
+
+    preset: str = "paper"
+    """Only paper: the preset whose details are changed."""
+    seeds: int = 10
+    """Runs of every reading."""
+    seed: int = 0
+    """Base seed of all runs."""
+    episodes: int = 600
+    """Real episodes of a run at the most."""
+    readings: tuple[str, ...] = ()
+    """Names of the readings to play, as the table has them; all by default."""
+    out: Path = Path("runs/cartpole-readings")
+    """Folder for the results."""
+    resume: bool = False
+    """Go on with the run in that folder."""
+    stop_after_solved: int | None = 0
+    """Episodes a reading plays on once all its seeds have solved; None plays all of them."""
+
+    def __post_init__(self) -> None:
+        if self.preset != "paper":
+            raise ValueError(f"--preset is {self.preset}: the readings are of the paper preset")
+        unknown = set(self.readings) - set(readings(self))
+        if unknown:
+            raise ValueError(
+                f"--readings: there is no {', '.join(sorted(unknown))}; "
+                f"there are {', '.join(readings(self))}"
+            )
+
+
+def readings(options: Options) -> dict[str, Arm]:
+    """Every reading by name, the preset itself first."""
+    base = replace(
+        cartpole.PRESETS["paper"],
+        seeds=max(options.seeds, 1),
+        episodes=options.episodes,
+    )
+    model, agent = base.model, base.agent
+    raw = replace(model, normalise=False)
+
+    def threshold(value: float) -> cartpole.Options:
+        return replace(base, hparams=replace(base.hparams, termination_threshold=value))
+
+    variants = {
+        "dyna (paper preset)": base,
+        "returns standardised within an episode": replace(
+            base, agent=replace(agent, advantage=within_episode)
+        ),
+        "returns standardised over the batch": replace(
+            base, agent=replace(agent, advantage=over_batch)
+        ),
+        "1 fake episode an update, 2 a real one": replace(base, dream_episodes=1),
+        "4 fake episodes an update": replace(base, dream_episodes=4),
+        "4 updates on dreams": replace(base, dream_updates=4),
+        "no normalisation": replace(base, model=raw),
+        "no normalisation, Eq. 1 summed, batch 5": replace(
+            base, model=replace(raw, sum_loss=True), model_batch=5
+        ),
+        "Eq. 1 summed, batch 5": replace(base, model=replace(model, sum_loss=True), model_batch=5),
+        "LeCun initial weights": replace(base, model=replace(model, weight_variance=1.0)),
+        "20 model updates": replace(base, model_updates=20),
+        "targets are changes of state": replace(base, model=replace(model, delta=True)),
+        "fake episode ends at p > 0.03": threshold(0.03),
+        "fake episode ends at p > 0.5": threshold(0.5),
+        "dreams start uniform ±0.1": replace(base, dream_start="uniform"),
+        "replay emptied every 20 episodes": replace(base, forget_every=20),
+        "authors' slip: angle overwritten": replace(base, authors_bug=True),
+    }
+    arms = {name: _without_diagnosis(variant) for name, variant in variants.items()}
+    controls = cartpole.make_arms(base)
+    arms["true environment as the model"] = controls["oracle"]
+    for rate in (0.005, 0.01, 0.015, 0.02):
+        arm = controls["model_free"]
+        hparams = replace(arm.hparams, agent=replace(arm.hparams.agent, learning_rate=rate))
+        arms[f"model-free, learning rate {rate:g}"] = arm._replace(hparams=hparams)
+    return arms
+
+
+def _without_diagnosis(options: cartpole.Options) -> Arm:
+    """The ``dyna`` arm without the running judgement of its model, which no table here needs."""
+    arm = cartpole.make_arms(options)["dyna"]
+    return arm._replace(dyna=arm.dyna._replace(diagnose=None))
+
+
+@dataclass(frozen=True)
+class ReadingsReport:
+    """A row and a strip of dots for each reading."""
+
+    rule: SolveRule
+    episodes: int
+
+    def analyse(self, arm: Arm, run: ArmRun, key: jax.Array) -> Curves:
+        """Nothing beyond the curves."""
+        return {}
+
+    def describe(self, curves: Curves) -> Results:
+        """Nothing beyond the Contract's figures."""
+        return {}
+
+    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+        """``readings.png``."""
+        solved_at = {
+            name: episodes_to_solve(values["real_return"], self.rule)
+            for name, values in curves.items()
+        }
+        title = "CartPole, paper preset with one detail changed"
+        plots.solve_bars(out / "readings.png", solved_at, self.episodes, title)
+
+    def markdown(self, results: Results) -> str:
+        """The report."""
+        return (
+            "\n\n".join(
+                [
+                    "# Which reading of the paper gives its effect on CartPole?",
+                    f"`{results['command']}`",
+                    "Each row changes one detail of the `dyna` arm of the `paper` preset. "
+                    f"{str(self.rule).capitalize()}. At most {self.episodes} episodes; a mean "
+                    "with an unsolved run in it is shown as its lower bound (≥).",
+                    markdown_table(*_table(results)).rstrip(),
+                    "![every seed of every reading](readings.png)",
+                ]
+            )
+            + "\n"
+        )
+
+    def summary(self, console: Console, results: Results) -> None:
+        """The table in the terminal."""
+        report.print_table(console, "Readings of the paper on CartPole", *_table(results))
+
+
+def _table(results: Results) -> tuple[list[str], list[list[str]]]:
+    rows = []
+    for name, arm in results["arms"].items():
+        solve = arm["episodes_to_solve"]
+        solved = f"{solve['solved']}/{solve['seeds']}"
+        rows.append([name, number(solve), interval(solve["ci95"]), number(solve, "median"), solved])
+    return ["reading", "episodes to solve", "95% interval", "median", "solved"], rows
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the readings from the command line; returns the exit code."""
+    options = cli.parse({"paper": Options()}, argv, PROG)
+    arms = readings(options)
+    chosen = {name: arms[name] for name in options.readings or arms}
+    rule = cartpole.RULES["v0"][1]
+    session = Session(
+        experiment="cartpole_readings",
+        prog=PROG,
+        argv=sys.argv[1:] if argv is None else argv,
+        options=options,
+        out=options.out,
+        rule=rule,
+        keys=jax.random.split(jax.random.key(options.seed), options.seeds),
+        report=ReadingsReport(rule, options.episodes),
+    )
+    return session.run(chosen)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
