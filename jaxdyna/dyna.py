@@ -7,7 +7,7 @@ counts it is given. What a real episode draws from its key is the same in every 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -16,6 +16,7 @@ from flax import struct
 
 from jaxdyna import replay
 from jaxdyna.rollout import rollout
+from jaxdyna.settings import DynaConfig, DynaHParams
 from jaxdyna.types import Agent, DynamicsModel, Environment, Key, Transition
 
 Metrics = dict[str, jax.Array]
@@ -51,74 +52,6 @@ class Dyna(NamedTuple):
     model: DynamicsModel | None = None
     dream: Dream | None = None
     diagnose: Callable[[Any, Transition, Key], Metrics] | None = None
-
-
-@dataclass(frozen=True)
-class DynaConfig:
-    """Counts and sizes: whatever decides the program.
-
-    Attributes:
-        num_episodes: real episodes in all.
-        num_real_first: N of §3.1.2: real episodes before the first dream.
-        num_steps: the longest episode, real or fake, in steps.
-        model_updates: gradient steps of the model after each real episode.
-        model_batch: transitions a gradient step.
-        dream_updates: policy updates on dreams after each real episode.
-        dream_episodes: fake episodes in each of those updates.
-        replay_capacity: transitions kept; None keeps all.
-        forget_every: real episodes after which the replay is emptied, as the authors' code does;
-            0 never.
-    """
-
-    num_episodes: int = 1000
-    num_real_first: int = 100
-    num_steps: int = 200
-    model_updates: int = 10
-    model_batch: int = 64
-    dream_updates: int = 1
-    dream_episodes: int = 2
-    replay_capacity: int | None = None
-    forget_every: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("num_episodes", "num_steps", "model_batch", "dream_episodes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be at least 1")
-        for name in ("num_real_first", "model_updates", "dream_updates", "forget_every"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must not be negative")
-        if self.num_real_first > self.num_episodes:
-            raise ValueError(
-                f"num_real_first (N) is {self.num_real_first} but there are only "
-                f"{self.num_episodes} episodes: lower N or raise the number of episodes"
-            )
-        if self.replay_capacity is not None and self.replay_capacity < self.num_steps:
-            raise ValueError(
-                f"replay_capacity is {self.replay_capacity}: it must hold at least one episode "
-                f"of {self.num_steps} steps"
-            )
-
-
-@struct.dataclass
-class DynaHParams:
-    """Everything that can be swept without compiling again.
-
-    Attributes:
-        agent: the agent's.
-        model: the model's.
-        env: the real environment's params.
-        fake_weight: weight of fake transitions in the policy's update; 0 is the model-free arm.
-        num_real_first: masks out dreams before this many real episodes, where that is more than
-            `DynaConfig.num_real_first` (which also saves their computation).
-        termination_threshold: see `jaxdyna.models.LearnedParams`.
-    """
-
-    agent: Any
-    model: Any
-    env: Any
-    fake_weight: float = 1.0
-    num_real_first: int = 0
-    termination_threshold: float = 0.5
 
 
 @struct.dataclass

@@ -129,18 +129,25 @@ def bootstrap_interval(
     return _interval(statistic(values[index]))
 
 
-def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray) -> Summary:
+def ratio_of_means(
+    numerator: np.ndarray, denominator: np.ndarray, denominator_at_least: float = np.inf
+) -> Summary:
     """How two arms compare: the ratio of their means, with a 95% bootstrap interval.
 
     Args:
         numerator: ``[seeds]``, infinity where unsolved.
         denominator: ``[seeds]``.
+        denominator_at_least: lower bound of an unsolved seed's value.
 
     Returns:
-        ``ratio`` and ``ci95``; None where an unsolved run makes it undefined.
+        ``ratio`` and ``ci95``; ``bound`` is True where unsolved seeds in the denominator stand at
+        their lower bound, so that the ratio and its interval are upper bounds. None where an
+        unsolved seed in the numerator, or one without a bound, leaves nothing known.
     """
+    bound = not np.isfinite(denominator).all()
+    denominator = np.where(np.isfinite(denominator), denominator, denominator_at_least)
     if not (np.isfinite(numerator).all() and np.isfinite(denominator).all()):
-        return {"ratio": None, "ci95": [None, None]}
+        return {"ratio": None, "ci95": [None, None], "bound": bound}
     generator = np.random.default_rng(0)
 
     def means(values):
@@ -149,6 +156,7 @@ def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray) -> Summary:
     return {
         "ratio": _plain(numerator.mean() / denominator.mean()),
         "ci95": _interval(means(numerator) / means(denominator)),
+        "bound": bound,
     }
 
 

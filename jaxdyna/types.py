@@ -95,8 +95,9 @@ class Prediction(NamedTuple):
         next_obs: ``[*obs]``.
         reward: scalar.
         terminated: probability that the step ends the episode, a scalar in [0, 1].
-        disagreement: how far the members of an ensemble are apart, a scalar in units of the
-            standard deviation of one step's change; 0 for a single model.
+        disagreement: standard deviation over the members of an ensemble of what they predict of
+            the state, in units of that target's standard deviation over the data, the largest of
+            all variables: a scalar; 0 for a single model.
     """
 
     next_obs: jax.Array

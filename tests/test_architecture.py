@@ -8,7 +8,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "jaxdyna"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = {
-    "types": 0,
+    **dict.fromkeys(["types", "settings"], 0),
     **dict.fromkeys(["networks", "losses", "envs", "replay"], 1),
     "rollout": 2,
     **dict.fromkeys(["agents", "models", "planners"], 3),
@@ -50,7 +50,7 @@ def test_imports_point_down(path):
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_readable_in_one_sitting(path):
     text = path.read_text()
-    assert len(text.splitlines()) <= 280
+    assert len(text.splitlines()) <= 260
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.FunctionDef):
             start = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]

@@ -70,7 +70,15 @@ def test_bootstrap_covers_the_true_mean_about_as_often_as_it_says():
 def test_ratio_of_means():
     ratio = ratio_of_means(np.array([1.0, 3.0]), np.array([4.0, 4.0]))
     assert ratio["ratio"] == 0.5 and ratio["ci95"] == [0.25, 0.75]
+    assert not ratio["bound"]
     assert ratio_of_means(np.array([1.0, INF]), np.array([4.0, 4.0]))["ratio"] is None
+
+
+def test_ratio_to_an_arm_with_unsolved_seeds_is_an_upper_bound():
+    ours, unsolved = np.array([1.0, 3.0]), np.array([4.0, INF])
+    assert ratio_of_means(ours, unsolved)["ratio"] is None
+    ratio = ratio_of_means(ours, unsolved, denominator_at_least=6.0)
+    assert ratio["ratio"] == 0.4 and ratio["bound"]
 
 
 def test_r_squared_from_sums():

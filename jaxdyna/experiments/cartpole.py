@@ -84,7 +84,7 @@ class Options:
     """REINFORCE's network."""
     model: SupervisedConfig = field(
         default_factory=lambda: SupervisedConfig(
-            sum_loss=False, normalise=True, weight_variance=1 / 3
+            delta=True, normalise=True, spread=3.0, weight_variance=1 / 3
         )
     )
     """The dynamics model."""

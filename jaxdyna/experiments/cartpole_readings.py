@@ -10,6 +10,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -65,31 +66,36 @@ def readings(options: Options) -> dict[str, Arm]:
         seeds=max(options.seeds, 1),
         episodes=options.episodes,
     )
-    model, agent = base.model, base.agent
-    raw = replace(model, normalise=False)
+    literal = replace(base.model, delta=False, normalise=False)
+
+    def model(**changes: Any) -> cartpole.Options:
+        return replace(base, model=replace(base.model, **changes))
+
+    def agent(advantage: Any) -> cartpole.Options:
+        return replace(base, agent=replace(base.agent, advantage=advantage))
 
     def threshold(value: float) -> cartpole.Options:
         return replace(base, hparams=replace(base.hparams, termination_threshold=value))
 
     variants = {
         "dyna (paper preset)": base,
-        "returns standardised within an episode": replace(
-            base, agent=replace(agent, advantage=within_episode)
-        ),
-        "returns standardised over the batch": replace(
-            base, agent=replace(agent, advantage=over_batch)
-        ),
+        "returns standardised within an episode": agent(within_episode),
+        "returns standardised over the batch": agent(over_batch),
         "1 fake episode an update, 2 a real one": replace(base, dream_episodes=1),
         "4 fake episodes an update": replace(base, dream_episodes=4),
         "4 updates on dreams": replace(base, dream_updates=4),
-        "no normalisation": replace(base, model=raw),
-        "no normalisation, Eq. 1 summed, batch 5": replace(
-            base, model=replace(raw, sum_loss=True), model_batch=5
+        "targets are next states": model(delta=False),
+        "scaled by 1 standard deviation, not 3": model(spread=1.0),
+        "no normalisation": model(normalise=False),
+        "no normalisation, next states": replace(base, model=literal),
+        "no normalisation, next states, mean of the batch": replace(
+            base, model=replace(literal, sum_loss=False)
         ),
-        "Eq. 1 summed, batch 5": replace(base, model=replace(model, sum_loss=True), model_batch=5),
-        "LeCun initial weights": replace(base, model=replace(model, weight_variance=1.0)),
+        "Eq. 1 as a mean of the batch": model(sum_loss=False),
+        "the same, scaled by 1, next states": model(sum_loss=False, spread=1.0, delta=False),
+        "batch of 5": replace(base, model_batch=5),
+        "LeCun initial weights": model(weight_variance=1.0),
         "20 model updates": replace(base, model_updates=20),
-        "targets are changes of state": replace(base, model=replace(model, delta=True)),
         "fake episode ends at p > 0.03": threshold(0.03),
         "fake episode ends at p > 0.5": threshold(0.5),
         "dreams start uniform ±0.1": replace(base, dream_start="uniform"),

@@ -140,13 +140,13 @@ def solve_bars(path: Path, solved_at: Mapping[str, np.ndarray], limit: int, titl
         mean = np.minimum(values, limit).mean()
         panel.plot([mean, mean], [row - 0.36, row + 0.36], color="black", linewidth=2)
     panel.axvline(limit, color="#c0392b", linewidth=1, linestyle="--")
-    panel.text(limit * 1.012, len(solved_at) - 0.4, "unsolved", color="#c0392b", fontsize=8)
+    panel.text(limit * 1.012, -0.6, "unsolved", color="#c0392b", fontsize=8, va="bottom")
     panel.set_yticks(range(len(solved_at)), list(solved_at), fontsize=8)
-    panel.invert_yaxis()
+    panel.set_ylim(len(solved_at) - 0.4, -0.6)
     panel.set_xlabel(
         f"episodes to solve (dot: a seed; bar: mean, an unsolved seed counted as {limit})"
     )
-    panel.set_title(title, loc="left", fontsize=10)
+    panel.set_title(title, loc="left", fontsize=10, pad=14)
     panel.spines[["top", "right"]].set_visible(False)
     _save(figure, path)
 

@@ -56,11 +56,14 @@ def describe_arm(curves: Curves, rule: SolveRule) -> Results:
 
 
 def compare(arms: Results, baseline: str) -> Results:
-    """Ratio of each arm's mean ``episodes_to_solve`` to the baseline's, with its interval."""
+    """Ratio of each arm's mean ``episodes_to_solve`` to the baseline's, with its interval; an
+    unsolved run of the baseline counts as the episodes that it played.
+    """
     if baseline not in arms:
         return {}
+    denominator, played = _per_seed(arms[baseline]), arms[baseline]["episodes_played"]
     return {
-        name: ratio_of_means(_per_seed(arm), _per_seed(arms[baseline]))
+        name: ratio_of_means(_per_seed(arm), denominator, played)
         for name, arm in arms.items()
         if name != baseline
     }

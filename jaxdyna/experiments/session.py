@@ -88,7 +88,7 @@ class Session:
 
     def run(self, arms: Mapping[str, Arm]) -> int:
         """Runs the arms; returns the exit code: 0, 2 on bad input, 130 after Ctrl-C."""
-        self._began = time.perf_counter()
+        self._began, self._earlier_s = time.perf_counter(), 0.0
         self._timing: dict[str, dict[str, float]] = {}
         curves: dict[str, Curves] = {}
         try:
@@ -180,6 +180,7 @@ class Session:
             )
         if finished != now:
             return {}
+        self._earlier_s = results["timing"]["total_s"]
         self._timing = results["timing"]["arms"]
         return read_curves(self.out / "curves.npz")
 
@@ -207,13 +208,15 @@ class Session:
             part: sum(timing[part] for timing in self._timing.values())
             for part in ("compile_s", "run_s")
         }
+        total_s = self._earlier_s + time.perf_counter() - self._began
+        from_start = [argument for argument in self.argv if argument != "--resume"]
         return {
             "experiment": self.experiment,
-            "command": f"{self.prog} {shlex.join(self.argv)}".strip(),
+            "command": f"{self.prog} {shlex.join(from_start)}".strip(),
             "preset": self.options.preset,
             "config": plain(self.options),
             **environment(),
-            "timing": total | {"total_s": time.perf_counter() - self._began, "arms": self._timing},
+            "timing": total | {"total_s": total_s, "arms": self._timing},
             "arms": arms,
             "ratio_to_model_free": compare(arms, "model_free"),
         }
