@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from jaxdyna import replay
+from jaxdyna.conditional import where_needed
 from jaxdyna.rollout import rollout
 from jaxdyna.settings import DynaConfig, DynaHParams
 from jaxdyna.types import Agent, DynamicsModel, Environment, Key, Transition
@@ -98,38 +100,36 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
 
 
 def make_advance(
-    dyna: Dyna, config: DynaConfig
+    dyna: Dyna, config: DynaConfig, axes: tuple[str, ...] = ()
 ) -> Callable[[DynaState, jax.Array, DynaHParams], tuple[DynaState, Metrics]]:
     """``advance(state, episodes, hparams) -> (state, metrics)``: plays the real episodes numbered
     ``episodes`` (int ``[K]``, counted from 0) with their dreams; metrics are ``[K, ...]``.
 
     A run cut into pieces is the same run. Keep ``episodes`` unbatched under ``vmap``: then dreams
-    of the first phase cost nothing.
+    of the first phase cost nothing. ``axes`` names the axes that runs are vmapped along
+    (`jaxdyna.sweep.AXES`): then work that none of them needs costs nothing either.
     """
 
     def step(state: DynaState, episode: jax.Array, hparams: DynaHParams):
         key, key_real, key_agent, key_model, key_dream = jax.random.split(state.key, 5)
         state = replace(state, key=key)
+        dreaming = episode >= config.num_real_first
         real = _play_real(dyna, config, state.agent, key_real, hparams)
-        agent, agent_metrics = dyna.agent.update(state.agent, real, key_agent, hparams.agent)
+        agent, metrics = _learn_policy(dyna, state.agent, real, key_agent, dreaming, hparams)
         state = replace(state, agent=agent)
-        metrics = {"agent_loss": agent_metrics["loss"], **_summary("real", real)}
+        awake = real.terminated.any() if config.rest_when_safe else True
         if dyna.model is not None:
-            state, model_metrics = _learn_model(
-                dyna, config, state, real, episode, key_model, hparams
-            )
-            metrics |= model_metrics
+            key_judge, key_sample, key_update = jax.random.split(key_model, 3)
+            state, judgement = _remember(dyna, config, state, real, episode, key_judge)
+            train = partial(_train_model, dyna, config, state, key_sample, key_update, hparams)
+            model, training = where_needed(True, awake, axes, train, state.model)
+            state = replace(state, model=model)
+            metrics |= judgement | training
         if dyna.dream is not None and config.dream_updates > 0:
-            agent, dream_metrics = jax.lax.cond(
-                episode >= config.num_real_first,
-                lambda: _dream(dyna, config, state, episode, key_dream, hparams),
-                lambda: (
-                    state.agent,
-                    {name: jnp.float32(jnp.nan) for name in ("fake_return", "fake_length")},
-                ),
-            )
+            dream = partial(_dream, dyna, config, axes, state, episode, key_dream, hparams)
+            agent, dreamed = where_needed(dreaming, awake, axes, dream, state.agent)
             state = replace(state, agent=agent)
-            metrics |= dream_metrics
+            metrics |= dreamed
         return state, metrics
 
     def advance(state: DynaState, episodes: jax.Array, hparams: DynaHParams):
@@ -139,12 +139,12 @@ def make_advance(
 
 
 def make_train(
-    dyna: Dyna, config: DynaConfig
+    dyna: Dyna, config: DynaConfig, axes: tuple[str, ...] = ()
 ) -> Callable[[Key, DynaHParams], tuple[DynaState, Metrics]]:
     """``train(key, hparams) -> (state, metrics)``: a whole run as one pure function; metrics have
-    a leading axis of ``config.num_episodes``.
+    a leading axis of ``config.num_episodes``. For ``axes`` see `make_advance`.
     """
-    init, advance = make_init(dyna, config), make_advance(dyna, config)
+    init, advance = make_init(dyna, config), make_advance(dyna, config, axes)
 
     def train(key: Key, hparams: DynaHParams) -> tuple[DynaState, Metrics]:
         return advance(init(key, hparams), jnp.arange(config.num_episodes), hparams)
@@ -159,19 +159,32 @@ def _play_real(dyna, config, agent, key, hparams) -> Transition:
     return rollout(dyna.env, act, key, hparams.env, 1, num_steps=config.num_steps)
 
 
-def _learn_model(dyna, config, state, real, episode, key, hparams) -> tuple[DynaState, Metrics]:
-    """Judges the model on the new episode, then stores it and trains on all that is stored."""
-    key_diagnose, key_sample, key_update = jax.random.split(key, 3)
+def _learn_policy(dyna, agent, real, key, dreaming, hparams) -> tuple[Any, Metrics]:
+    weighted = real
+    if dyna.dream is not None:
+        weight = jnp.where(dreaming, hparams.real_weight, 1.0)
+        weighted = real._replace(mask=real.mask * weight)
+    agent, losses = dyna.agent.update(agent, weighted, key, hparams.agent)
+    return agent, {"agent_loss": losses["loss"]} | _summary("real", real)
+
+
+def _remember(dyna, config, state, real, episode, key) -> tuple[DynaState, Metrics]:
+    """Judges the model on the new episode, then stores it."""
     metrics = {}
     if dyna.diagnose is not None:
-        metrics = dyna.diagnose(state.model.params, real, key_diagnose)
+        metrics = dyna.diagnose(state.model.params, real, key)
     held = state.replay
     if config.forget_every:
         start_of_block = episode % config.forget_every == 0
         held = replace(held, added=jnp.where(start_of_block, 0, held.added))
     held = replay.add(held, real, real.mask)
     starts = replay.add(state.starts, real.obs[:, 0], real.mask[:, 0])
-    batches = replay.sample(held, key_sample, (config.model_updates, config.model_batch))
+    return replace(state, replay=held, starts=starts), metrics
+
+
+def _train_model(dyna, config, state, key_sample, key_update, hparams) -> tuple[Any, Metrics]:
+    """Gradient steps on all that is stored; returns the model's new state."""
+    batches = replay.sample(state.replay, key_sample, (config.model_updates, config.model_batch))
 
     def update(carry, batch):
         model, key = carry
@@ -180,19 +193,19 @@ def _learn_model(dyna, config, state, real, episode, key, hparams) -> tuple[Dyna
         return (model, key), losses
 
     (model, _), losses = jax.lax.scan(update, (state.model, key_update), batches)
-    metrics["model_loss"] = losses["loss"].mean() if config.model_updates else jnp.float32(0)
-    return replace(state, model=model, replay=held, starts=starts), metrics
+    loss = losses["loss"].mean() if config.model_updates else jnp.float32(0)
+    model = jax.tree.map(
+        lambda new, old: jnp.where(hparams.model_trains, new, old), model, state.model
+    )
+    return model, {"model_loss": loss}
 
 
-def _dream(dyna, config, state, episode, key, hparams) -> tuple[Any, Metrics]:
+def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metrics]:
     """Policy updates on fake episodes; returns the agent's new state."""
     env_params = dyna.dream.params(state, hparams)
     weight = jnp.where(episode >= hparams.num_real_first, hparams.fake_weight, 0.0)
 
-    def update(carry, _):
-        agent, key = carry
-        key, key_play, key_update = jax.random.split(key, 3)
-
+    def update(agent, key_play, key_update):
         def act(obs, key):
             return dyna.agent.act(agent, obs, key, hparams.agent)
 
@@ -206,10 +219,19 @@ def _dream(dyna, config, state, episode, key, hparams) -> tuple[Any, Metrics]:
         )
         weighted = fake._replace(mask=fake.mask * weight)
         agent, _ = dyna.agent.update(agent, weighted, key_update, hparams.agent)
-        return (agent, key), _summary("fake", fake)
+        return (agent, ~fake.terminated.any()), _summary("fake", fake)
 
-    (agent, _), metrics = jax.lax.scan(update, (state.agent, key), length=config.dream_updates)
-    return agent, jax.tree.map(jnp.mean, metrics)
+    def update_unless_safe(carry, _):
+        agent, safe, key = carry
+        key, key_play, key_update = jax.random.split(key, 3)
+        work = partial(update, agent, key_play, key_update)
+        needed = ~safe if config.rest_when_safe else True
+        (agent, now_safe), metrics = where_needed(True, needed, axes, work, (agent, safe))
+        return (agent, now_safe, key), metrics
+
+    start = (state.agent, jnp.bool_(False), key)
+    (agent, _, _), metrics = jax.lax.scan(update_unless_safe, start, length=config.dream_updates)
+    return agent, jax.tree.map(jnp.nanmean, metrics)
 
 
 def _summary(name: str, transitions: Transition) -> Metrics:

@@ -28,8 +28,7 @@ def rollout(
         key: random key.
         env_params: the environment's parameters; a learned environment's weights travel here.
         num_episodes: N, static.
-        num_steps: T, static; by default ``env_params.max_steps``, or where that is traced (swept)
-            ``env.default_params.max_steps``.
+        num_steps: T, static; by default ``env_params.max_steps``.
 
     Returns:
         A `Transition` ``[N, T, ...]``. After the end of an episode ``mask`` is False, the
@@ -37,10 +36,10 @@ def rollout(
         truncated at its last step: every episode ends in ``terminated`` or ``truncated``.
 
     Raises:
-        ValueError: where N or T is not positive.
+        ValueError: where N or T is not positive, or T is left open under a traced ``max_steps``.
     """
     if num_steps is None:
-        num_steps = _concrete_max_steps(env, env_params)
+        num_steps = _concrete_max_steps(env_params)
     if num_episodes < 1 or num_steps < 1:
         raise ValueError(
             f"a rollout of {num_episodes} episodes of {num_steps} steps: both must be at least 1"
@@ -53,6 +52,7 @@ def rollout(
         next_obs, next_state, reward, terminated, truncated, _ = env.step(
             key_step, state, action, env_params
         )
+        terminated, truncated = jnp.asarray(terminated, bool), jnp.asarray(truncated, bool)
         truncated = truncated | ((time == num_steps - 1) & ~terminated)
         transition = Transition(
             obs=obs,
@@ -77,8 +77,10 @@ def rollout(
     return jax.vmap(episode)(jax.random.split(key, num_episodes))
 
 
-def _concrete_max_steps(env: Environment, env_params: Any) -> int:
-    max_steps = env_params.max_steps
-    if isinstance(max_steps, jax.core.Tracer):
-        max_steps = env.default_params.max_steps
-    return int(max_steps)
+def _concrete_max_steps(env_params: Any) -> int:
+    if isinstance(env_params.max_steps, jax.core.Tracer):
+        raise ValueError(
+            "env_params.max_steps is traced: give rollout num_steps, the longest episode, as a "
+            "Python number"
+        )
+    return int(env_params.max_steps)

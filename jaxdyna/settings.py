@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +24,10 @@ class DynaConfig:
         replay_capacity: transitions kept; None keeps all.
         forget_every: real episodes after which the replay is emptied, as the authors' code does;
             0 never.
+        rest_when_safe: for tasks whose end is a failure. Neither train the model nor dream after
+            a real episode that was truncated instead of terminated, and stop dreaming after a
+            batch of fake episodes of which none terminated: what works is left alone, and costs
+            nothing.
     """
 
     num_episodes: int = 1000
@@ -34,6 +39,7 @@ class DynaConfig:
     dream_episodes: int = 2
     replay_capacity: int | None = None
     forget_every: int = 0
+    rest_when_safe: bool = False
 
     def __post_init__(self) -> None:
         for name in ("num_episodes", "num_steps", "model_batch", "dream_episodes"):
@@ -62,15 +68,21 @@ class DynaHParams:
         agent: the agent's.
         model: the model's.
         env: the real environment's params.
+        real_weight: weight of real transitions in the policy's update once dreams have begun.
+        model_trains: False computes the model's updates and discards them (the placebo).
         fake_weight: weight of fake transitions in the policy's update; 0 is the model-free arm.
         num_real_first: masks out dreams before this many real episodes, where that is more than
             `DynaConfig.num_real_first` (which also saves their computation).
         termination_threshold: see `jaxdyna.models.LearnedParams`.
+        disagreement_threshold: likewise.
     """
 
     agent: Any
     model: Any
     env: Any
+    model_trains: bool = True
+    real_weight: float = 1.0
     fake_weight: float = 1.0
     num_real_first: int = 0
     termination_threshold: float = 0.5
+    disagreement_threshold: float = math.inf

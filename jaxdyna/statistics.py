@@ -123,8 +123,10 @@ def bootstrap_interval(
         resamples: how many.
 
     Returns:
-        ``[low, high]``; None for an infinite end.
+        ``[low, high]``; None for an infinite end, and for a single seed.
     """
+    if len(values) < 2:
+        return [None, None]
     index = np.random.default_rng(0).integers(0, len(values), (resamples, len(values)))
     return _interval(statistic(values[index]))
 
@@ -153,9 +155,11 @@ def ratio_of_means(
     def means(values):
         return values[generator.integers(0, len(values), (5000, len(values)))].mean(-1)
 
+    several = min(len(numerator), len(denominator)) > 1
+    resampled = means(numerator) / means(denominator)
     return {
         "ratio": _plain(numerator.mean() / denominator.mean()),
-        "ci95": _interval(means(numerator) / means(denominator)),
+        "ci95": _interval(resampled) if several else [None, None],
         "bound": bound,
     }
 

@@ -11,8 +11,13 @@ import jax.numpy as jnp
 
 from jaxdyna.types import Key, PyTree
 
+AXES = ("settings", "seeds")
+"""Names of the vmapped axes, for `jaxdyna.dyna.make_train` and `make_advance`."""
 
-def sweep(train: Callable[[Key, Any], PyTree], keys: Key, hparams: Any) -> PyTree:
+
+def sweep(
+    train: Callable[[Key, Any], PyTree], keys: Key, hparams: Any, block: int | None = None
+) -> PyTree:
     """Runs ``train(key, hparams)`` for every setting and seed in one jitted call.
 
     Args:
@@ -20,6 +25,9 @@ def sweep(train: Callable[[Key, Any], PyTree], keys: Key, hparams: Any) -> PyTre
         keys: random keys ``[seeds]``, shared by all settings.
         hparams: a pytree; leaves with an axis ``[settings]`` are swept together, scalars are
             shared.
+        block: seeds vmapped together, blocks one after the other; None for all at once. A CPU
+            gains nothing from more than some ten, and work that no seed of a block needs is
+            skipped.
 
     Returns:
         What ``train`` returns with leading axes ``[settings, seeds]`` (settings is 1 where
@@ -28,22 +36,26 @@ def sweep(train: Callable[[Key, Any], PyTree], keys: Key, hparams: Any) -> PyTre
     Raises:
         ValueError: where the swept leaves differ in length.
     """
-    settings = num_settings(hparams)
-    return _sweep(train, keys, hparams, settings)
+    return _sweep(train, keys, hparams, num_settings(hparams), block)
 
 
-@partial(jax.jit, static_argnums=(0, 3))
-def _sweep(train, keys, hparams, settings):
-    seeds = jax.vmap(train, in_axes=(0, None))
-    return jax.vmap(seeds, in_axes=(None, _axes(hparams)), axis_size=settings)(keys, hparams)
+@partial(jax.jit, static_argnums=(0, 3, 4))
+def _sweep(train, keys, hparams, settings, block):
+    def setting(hparams):
+        return _over_seeds(lambda key: train(key, hparams), block)(keys)
+
+    return jax.vmap(setting, (_axes(hparams),), axis_size=settings, axis_name=AXES[0])(hparams)
 
 
-def make_pieces(init: Callable, advance: Callable) -> tuple[Callable, Callable]:
+def make_pieces(
+    init: Callable, advance: Callable, block: int | None = None
+) -> tuple[Callable, Callable]:
     """The same sweep in pieces, for progress, checkpoints and early stops between them.
 
     Args:
         init: ``(key, hparams) -> state``.
         advance: ``(state, episodes, hparams) -> (state, metrics)``.
+        block: see `sweep`.
 
     Returns:
         ``start(keys, hparams) -> state`` and ``proceed(state, episodes, hparams) -> (state,
@@ -52,14 +64,33 @@ def make_pieces(init: Callable, advance: Callable) -> tuple[Callable, Callable]:
     """
 
     def start(keys, hparams):
-        return sweep(init, keys, hparams)
+        return sweep(init, keys, hparams, block)
 
     @partial(jax.jit, donate_argnums=0)
     def proceed(state, episodes, hparams):
-        seeds = jax.vmap(advance, in_axes=(0, None, None))
-        return jax.vmap(seeds, in_axes=(0, None, _axes(hparams)))(state, episodes, hparams)
+        def setting(state, hparams):
+            return _over_seeds(lambda one: advance(one, episodes, hparams), block)(state)
+
+        return jax.vmap(setting, (0, _axes(hparams)), axis_name=AXES[0])(state, hparams)
 
     return start, proceed
+
+
+def _over_seeds(function: Callable[[Any], PyTree], block: int | None) -> Callable[[Any], PyTree]:
+    """``function`` over the leading axis of its argument, at most ``block`` seeds at once."""
+    at_once = jax.vmap(function, axis_name=AXES[1])
+
+    def in_blocks(argument):
+        seeds = jax.tree.leaves(argument)[0].shape[0]
+        if block is None or block >= seeds:
+            return at_once(argument)
+        blocks = -(-seeds // block)
+        # The last block is filled up with copies of the first seeds, which are cut off again.
+        rows = (jnp.arange(blocks * block) % seeds).reshape(blocks, block)
+        results = jax.lax.map(at_once, jax.tree.map(lambda leaf: leaf[rows], argument))
+        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:seeds], results)
+
+    return in_blocks
 
 
 def num_settings(hparams: Any) -> int:

@@ -132,7 +132,7 @@ def test_model_ignores_what_is_masked(name, episodes):
 
 @pytest.mark.parametrize("name", MODELS)
 def test_model_learns_the_world(name, episodes):
-    """Full-batch training beats both its start and the guess that nothing changes."""
+    """Full-batch training beats its start, and the better ones the guess of a mean change."""
     model = MODELS[name]
     learning_rate = {"paper": 2e-5, "scaled": 0.02}.get(name, 5e-3)
     hparams = SupervisedHParams(learning_rate)
@@ -153,17 +153,12 @@ def test_model_learns_the_world(name, episodes):
     new = rollout(ENV, random_act, jax.random.key(5), ENV.default_params, 20, num_steps=60)
     sums = one_step_sums(model.predict)(state.params, new, jax.random.key(6))
     assert sums["count"] == new.mask.sum() and sums["end_true"] == new.terminated.sum()
+    target = "state" if name in ("paper", "scaled") else "change"
     explained = r_squared(
-        sums["state_error"], sums["state_sum"], sums["state_square"], sums["count"]
+        sums["state_error"], sums[f"{target}_sum"], sums[f"{target}_square"], sums["count"]
     )
-    assert explained.min() > {"paper": -1.0, "scaled": 0.8}.get(name, 0.95)
-
-
-def test_learning_rate_zero_is_a_placebo(episodes):
-    model, hparams = MODELS["delta"], SupervisedHParams(learning_rate=0.0)
-    state = model.init(jax.random.key(0), hparams)
-    new, _ = model.update(state, episodes, jax.random.key(1), hparams)
-    assert_same(new.params.network, state.params.network)
+    print(name, explained)
+    assert explained.min() > {"paper": 0.0, "scaled": 0.9}.get(name, 0.7)
 
 
 def test_open_loop_feeds_predictions_back(episodes):

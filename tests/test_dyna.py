@@ -1,12 +1,16 @@
 """The two-phase loop."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from parts import DYNA, MODEL_FREE, ORACLE, SMALL, assert_close, assert_same, hparams
+from parts import DYNA, ENV, MODEL_FREE, ORACLE, SMALL, assert_close, assert_same, hparams
 
+from jaxdyna import sweep
 from jaxdyna.dyna import DynaConfig, make_advance, make_init, make_train
+from jaxdyna.sweep import AXES
 
 
 def train(dyna, config=SMALL, seed=0, **changes):
@@ -52,6 +56,39 @@ def test_a_run_in_pieces_is_the_same_run(dyna_run):
     state, second = advance(state, jnp.arange(3, 6), hparams())
     assert_same(state, dyna_run[0])
     assert_same(jax.tree.map(lambda *parts: jnp.concatenate(parts), first, second), dyna_run[1])
+
+
+def test_a_placebo_computes_its_updates_and_discards_them():
+    state, metrics = train(DYNA, model_trains=False)
+    untrained = make_init(DYNA, SMALL)(jax.random.key(0), hparams())
+    assert_same(state.model, untrained.model)
+    assert (metrics["model_loss"] > 0).all() and np.isfinite(metrics["fake_return"][2:]).all()
+
+
+def test_rest_when_safe():
+    """After an episode that lasts to its horizon nothing is learned, in blocks as elsewhere."""
+    config = DynaConfig(**{**vars(SMALL), "num_episodes": 12, "rest_when_safe": True})
+    config = replace(config, num_steps=12)
+    params = hparams(env=ENV.default_params.replace(max_steps=12), real_weight=0.0)
+    keys = jax.random.split(jax.random.key(0), 5)
+    state, metrics = sweep(make_train(DYNA, config, AXES), keys, params)
+    full = metrics["real_length"] == 12
+    rested = np.isnan(metrics["model_loss"])
+    assert rested.any() and full[rested].all()  # a fall in the very last step is no rest
+    np.testing.assert_array_equal(np.isnan(metrics["fake_return"])[..., 2:], rested[..., 2:])
+    assert not np.isnan(metrics["model_loss"][~full]).any()
+    keys = jax.random.split(jax.random.key(0), 5)
+    blocks, _ = sweep(make_train(DYNA, config, AXES), keys, params, block=2)
+    assert_close(blocks.agent, state.agent, 1e-4)
+    alone, _ = jax.jit(make_train(DYNA, config))(jax.random.split(jax.random.key(0), 5)[4], params)
+    assert_close(jax.tree.map(lambda leaf: leaf[0, 4], state.agent), alone.agent, 1e-4)
+
+
+def test_real_weight_zero_leaves_learning_to_the_dreams():
+    state, _ = train(DYNA, real_weight=0.0, fake_weight=0.0)
+    config = DynaConfig(**{**vars(SMALL), "num_episodes": 2})
+    first_phase, _ = train(MODEL_FREE, config)
+    assert_same(state.agent, first_phase.agent)
 
 
 def test_jit_is_eager():

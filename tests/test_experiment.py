@@ -1,13 +1,16 @@
 """The command line from start to report."""
 
 import json
+import os
 import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from parts import assert_same
 
-from jaxdyna.experiments import cartpole, run
+from jaxdyna.experiments import cartpole, cartpole_readings, run
 from jaxdyna.experiments.run import piece_length
 
 TINY = [
@@ -127,6 +130,14 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
         (["--resume", "--out", "/tmp/jaxdyna-nothing-here"], "nothing to resume"),
         (["--model.ensemble", "0"], "at least 1"),
         (["--hparams.termination-threshold", "2"], "between 0 and 1"),
+        (["--hparams.fake-weight", "inf"], "finite"),
+        (["--hparams.env.force-mag", "nan"], "finite"),
+        (["--hparams.env.length", "0"], "above 0"),
+        (["--hparams.env.max-steps", "7"], "--env-version"),
+        (["--agent.hidden", "0"], "at least 1"),
+        (["--model.hidden", "-3"], "at least 1"),
+        (["--model.weight-variance", "-1"], "above 0"),
+        (["--block", "0"], "at least 1"),
     ],
 )
 def test_bad_settings_end_in_one_line_and_code_2(arguments, complaint, capsys):
@@ -136,6 +147,57 @@ def test_bad_settings_end_in_one_line_and_code_2(arguments, complaint, capsys):
     assert stop.value.code == 2
     assert captured.out == "" and len(captured.err.strip().splitlines()) == 1
     assert complaint in captured.err
+
+
+def test_a_model_that_diverges_is_reported(tmp_path):
+    assert play(tmp_path, "--arms", "dyna", "--hparams.model.learning-rate", "1e6") == 0
+    model = json.loads((tmp_path / "results.json").read_text())["arms"]["dyna"]["model"]
+    assert model["one_step_r2_state"]["pole angle"]["mean"] is None
+
+
+def test_a_new_run_sets_the_old_one_aside(tmp_path):
+    play(tmp_path, "--arms", "model_free")
+    before = (tmp_path / "results.json").read_bytes()
+    play(tmp_path, "--arms", "model_free", "--seed", "5")
+    assert (tmp_path / "previous" / "results.json").read_bytes() == before
+    assert json.loads((tmp_path / "results.json").read_text())["config"]["seed"] == 5
+    (tmp_path / "results.json").write_text("{")
+    with pytest.raises(SystemExit):
+        play(tmp_path, "--arms", "model_free", "--seed", "5", "--resume")
+
+
+def test_resume_with_further_arms_says_so(tmp_path):
+    play(tmp_path, "--arms", "model_free")
+    play(tmp_path, "--arms", "oracle", "--resume")
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert list(results["arms"]) == results["config"]["arms"] == ["model_free", "oracle"]
+    first, second = results["command"].split(" && ")
+    assert "--arms model_free" in first and second.endswith("--arms oracle --resume")
+
+
+@pytest.mark.parametrize("precision", ["0", "1"])
+def test_double_precision(precision, tmp_path):
+    command = [sys.executable, "-m", "jaxdyna.experiments.cartpole", *TINY, "--out", str(tmp_path)]
+    environment = os.environ | {"JAX_ENABLE_X64": precision}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--seeds", "0"], ["--seed", "-1"], ["--arms", "x"], ["--preset", "lean"]]
+)
+def test_readings_check_their_settings(arguments, capsys):
+    with pytest.raises(SystemExit) as stop:
+        cartpole_readings.main(arguments)
+    assert stop.value.code == 2 and len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_readings_report(tmp_path):
+    arguments = ["--seeds", "2", "--episodes", "101", "--out", str(tmp_path), "--arms"]
+    names = ["model-free, learning rate 0.01", "true environment as the model"]
+    assert cartpole_readings.main([*arguments, *names]) == 0
+    text = (tmp_path / "report.md").read_text()
+    assert all(f"| {name} |" in text for name in names) and (tmp_path / "readings.png").exists()
 
 
 def test_help_names_the_contracts_options(capsys):

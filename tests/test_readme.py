@@ -26,8 +26,9 @@ def test_the_code_runs_and_hands_a_trained_model_to_gymnasium():
 
 
 def test_its_links_and_modules_exist():
+    for page in (README, README.parent / "experiments" / "README.md"):
+        for path in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+            assert (page.parent / path).exists(), path
     text = README.read_text()
-    for path in re.findall(r"\]\(([^)#:]+)\)", text):
-        assert (README.parent / path).exists(), path
     for module in re.findall(r"python -m jaxdyna\.(\S+)", text):
         assert (README.parent / "jaxdyna" / module.replace(".", "/")).with_suffix(".py").exists()

@@ -1,5 +1,7 @@
 """The one rollout, on true and learned environments."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +18,7 @@ from parts import (
 )
 
 from jaxdyna import rollout
+from jaxdyna.envs import CartPole
 from jaxdyna.models import LearnedEnvironment, LearnedParams, sample_rule, threshold_rule
 
 PARAMS = ENV.default_params
@@ -108,13 +111,26 @@ def test_jit_is_eager_and_rows_do_not_depend_on_each_other():
 
 
 def test_a_swept_horizon_needs_no_second_program():
-    def lengths(max_steps):
+    def lengths(max_steps, num_steps=200):
         params = PARAMS.replace(max_steps=max_steps)
-        return rollout(ENV, random_act, jax.random.key(0), params, 8).mask.sum(1)
+        real = rollout(ENV, random_act, jax.random.key(0), params, 8, num_steps=num_steps)
+        return real.mask.sum(1)
 
     short, long = jax.jit(jax.vmap(lengths))(jnp.array([5, 200]))
     np.testing.assert_array_equal(short, [5] * 8)
     np.testing.assert_array_equal(long, play(episodes=8).mask.sum(1))
+    with pytest.raises(ValueError, match="give rollout num_steps"):
+        jax.jit(partial(lengths, num_steps=None))(jnp.int32(5))
+
+
+def test_an_environment_may_answer_in_plain_python():
+    class Endless(CartPole):
+        def step(self, key, state, action, params):
+            obs, state, reward, *_ = super().step(key, state, action, params)
+            return obs, state, reward, False, False, {}
+
+    real = rollout(Endless(), random_act, jax.random.key(0), PARAMS, 2, num_steps=30)
+    assert real.mask.all() and real.truncated[:, -1].all() and not real.terminated.any()
 
 
 def test_clear_errors():

@@ -71,6 +71,7 @@ def test_ratio_of_means():
     ratio = ratio_of_means(np.array([1.0, 3.0]), np.array([4.0, 4.0]))
     assert ratio["ratio"] == 0.5 and ratio["ci95"] == [0.25, 0.75]
     assert not ratio["bound"]
+    assert ratio_of_means(np.array([1.0]), np.array([4.0]))["ci95"] == [None, None]
     assert ratio_of_means(np.array([1.0, INF]), np.array([4.0, 4.0]))["ratio"] is None
 
 

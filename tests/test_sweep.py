@@ -8,13 +8,19 @@ import pytest
 from parts import DYNA, SMALL, assert_close, assert_same, hparams
 
 from jaxdyna import sweep
+from jaxdyna.agents import ReinforceHParams
 from jaxdyna.dyna import make_advance, make_init, make_train
+from jaxdyna.models import SupervisedHParams
 from jaxdyna.sweep import make_pieces
 
 SWEPT = {
     "fake_weight": jnp.array([0.0, 1.0, 1.0]),
     "num_real_first": jnp.array([2, 2, 4]),
     "termination_threshold": jnp.array([0.5, 0.2, 0.5]),
+    "agent": ReinforceHParams(
+        learning_rate=jnp.array([0.01, 0.02, 0.01]), discount=jnp.array([0.99, 0.9, 0.99])
+    ),
+    "model": SupervisedHParams(learning_rate=jnp.array([0.01, 0.01, 0.005])),
 }
 
 
@@ -25,12 +31,32 @@ def test_every_row_is_the_separate_run():
     assert metrics["real_return"].shape == (3, 2, SMALL.num_episodes)
     alone = jax.jit(train)
     for setting in range(3):
-        changes = {name: values[setting] for name, values in SWEPT.items()}
+        changes = jax.tree.map(lambda values, at=setting: values[at], SWEPT)
         for seed, key in enumerate(jax.random.split(jax.random.key(0), 2)):
             _, expected = alone(key, hparams(**changes))
             row = jax.tree.map(lambda leaf, at=(setting, seed): leaf[at], metrics)
             assert_close(row, expected, 1e-3)
     assert len(np.unique(metrics["agent_loss"][:, 0, -1])) == 3
+
+
+def test_other_values_need_no_second_program():
+    traced = chex.assert_max_traces(make_train(DYNA, SMALL), n=1)
+    for scale in (1.0, 0.5):
+        changes = jax.tree.map(lambda values, by=scale: values * by, SWEPT)
+        sweep(traced, jax.random.split(jax.random.key(0), 2), hparams(**changes))
+
+
+def test_blocks_give_the_same_rows_in_the_same_order():
+    def train(key, scale):
+        return jax.random.uniform(key) * scale
+
+    def keys():
+        return jax.random.split(jax.random.key(0), 5)
+
+    scale = jnp.array([1.0, 2.0])
+    at_once = sweep(train, keys(), scale)
+    for block in (1, 2, 3, 5, 9):
+        assert_same(sweep(train, keys(), scale, block=block), at_once)
 
 
 def test_it_compiles_once_for_a_shape():

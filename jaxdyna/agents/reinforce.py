@@ -67,6 +67,10 @@ class ReinforceConfig:
     advantage: Callable[[jax.Array, jax.Array], jax.Array] = within_episode
     optimizer: Callable[[Any], optax.GradientTransformation] = optax.adam
 
+    def __post_init__(self) -> None:
+        if min(self.hidden, default=1) < 1:
+            raise ValueError(f"hidden widths are {self.hidden}: each must be at least 1")
+
 
 @struct.dataclass
 class ReinforceState:

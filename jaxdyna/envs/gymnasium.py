@@ -63,17 +63,23 @@ class HostEnv(gymnasium.Env[np.ndarray, np.int64]):
         """Starts an episode; ``seed`` makes it and all that follows reproducible."""
         super().reset(seed=seed)
         obs, self._state = _reset(self.env, self.params, _draw_seeds(self.np_random, 1)[0])
-        return np.asarray(obs), {}
+        return np.array(obs), {}
 
     def step(self, action: np.int64):
-        """Plays one step."""
+        """Plays one step.
+
+        Raises:
+            ValueError: before a reset, or where the action is none of the action space.
+        """
         if self._state is None:
             raise ValueError("step before reset: call reset() first")
+        if not self.action_space.contains(action):
+            raise ValueError(f"action {action!r} is not in {self.action_space}")
         seed = _draw_seeds(self.np_random, 1)[0]
         obs, self._state, reward, terminated, truncated = _step(
             self.env, self.params, seed, self._state, jnp.asarray(action)
         )
-        return np.asarray(obs), float(reward), bool(terminated), bool(truncated), {}
+        return np.array(obs), float(reward), bool(terminated), bool(truncated), {}
 
     def render(self) -> np.ndarray | None:
         """The current frame, uint8 ``[height, width, 3]``, with ``render_mode="rgb_array"``."""
@@ -117,12 +123,12 @@ class HostVectorEnv(VectorEnv):
         self._ended = np.zeros(num_envs, bool)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Starts an episode in every copy."""
+        """Starts an episode in every copy; ``seed`` is one number for all that follows."""
         super().reset(seed=seed)
         seeds = _draw_seeds(self.np_random, self.num_envs)
         obs, self._state = _vector_reset(self.env, self.params, seeds)
         self._ended = np.zeros(self.num_envs, bool)
-        return np.asarray(obs), {}
+        return np.array(obs), {}
 
     def step(self, actions: np.ndarray):
         """Plays one step in every copy; those that ended in the last one start anew instead, with
@@ -130,13 +136,15 @@ class HostVectorEnv(VectorEnv):
         """
         if self._state is None:
             raise ValueError("step before reset: call reset() first")
+        if not self.action_space.contains(np.asarray(actions)):
+            raise ValueError(f"actions {actions!r} are not in {self.action_space}")
         seeds = _draw_seeds(self.np_random, self.num_envs)
         obs, self._state, *outcome = _vector_step(
             self.env, self.params, seeds, self._state, jnp.asarray(actions), self._ended
         )
         reward, terminated, truncated = (np.asarray(part) for part in outcome)
         self._ended = terminated | truncated
-        return np.asarray(obs), reward, terminated, truncated, {}
+        return np.array(obs), reward, terminated, truncated, {}
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """One frame a copy, with ``render_mode="rgb_array"``."""
@@ -147,6 +155,8 @@ class HostVectorEnv(VectorEnv):
 
 
 def _check_render_mode(env: Environment, render_mode: str | None) -> str | None:
+    if render_mode not in (None, "rgb_array"):
+        raise ValueError(f"render_mode is {render_mode!r}: there are None and 'rgb_array'")
     if render_mode is not None and not hasattr(env, "render"):
         raise ValueError(
             f"{type(env).__name__} cannot be rendered: use render_mode=None, or give it a method "

@@ -8,20 +8,19 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
 
 from jaxdyna import replay
-from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
-from jaxdyna.agents.reinforce import per_step
-from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, DynaState
+from jaxdyna.agents import ReinforceConfig, reinforce
+from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState
 from jaxdyna.envs import CartPole, CartPoleParams
 from jaxdyna.experiments import cli
+from jaxdyna.experiments.cartpole_options import PRESETS, Options, dyna_config
 from jaxdyna.experiments.cartpole_report import CartPoleReport
 from jaxdyna.experiments.run import Arm
 from jaxdyna.experiments.session import Session
@@ -29,109 +28,12 @@ from jaxdyna.models import (
     LearnedEnvironment,
     LearnedParams,
     SupervisedConfig,
-    SupervisedHParams,
     supervised,
     uniform_start,
 )
 from jaxdyna.models.evaluation import Predict, one_step_sums
-from jaxdyna.statistics import SolveRule
 
 PROG = "python -m jaxdyna.experiments.cartpole"
-ArmName = Literal["model_free", "dyna", "placebo", "oracle"]
-RULES = {"v0": (200, SolveRule(100, 195.0)), "v1": (500, SolveRule(100, 475.0))}
-
-
-@dataclass(frozen=True)
-class Options:
-    """REINFORCE on CartPole, with and without fake episodes from a learned model."""
-
-    preset: Literal["paper", "lean"] = "paper"
-    """paper: the paper's protocol. lean: the fewest real episodes."""
-    seeds: int = 10
-    """Runs of every arm, all in one jitted program."""
-    seed: int = 0
-    """Base seed of all runs."""
-    episodes: int = 1000
-    """Real episodes of a run at the most."""
-    arms: tuple[ArmName, ...] = ("model_free", "dyna")
-    """model_free, dyna, and the controls: placebo never trains its model, oracle dreams in the true
-    environment."""
-    out: Path | None = None
-    """Folder for the results; runs/cartpole-PRESET by default."""
-    resume: bool = False
-    """Go on with the run in that folder, bit for bit."""
-    stop_after_solved: int | None = 100
-    """Episodes an arm plays on once all its seeds have solved; None plays all of them."""
-    env_version: Literal["v0", "v1"] = "v0"
-    """v0: 200 steps, solved at 195. v1: 500 steps, solved at 475."""
-    real_first: int = 100
-    """N of the paper: real episodes before the first dream."""
-    model_updates: int = 60
-    """Gradient steps of the model after each real episode."""
-    model_batch: int = 16
-    """Transitions in each."""
-    dream_updates: int = 2
-    """Policy updates on dreams after each real episode."""
-    dream_episodes: int = 8
-    """Fake episodes in each."""
-    dream_start: Literal["observed", "uniform"] = "observed"
-    """Where dreams begin: first observations of real episodes, or the authors' uniform ±0.1."""
-    authors_bug: bool = False
-    """Overwrite the dreamed pole angle with the cart's velocity, as the authors' code does."""
-    forget_every: int = 0
-    """Empty the replay every so many real episodes, as the authors' code does; 0 never."""
-    agent: ReinforceConfig = field(default_factory=lambda: ReinforceConfig(advantage=per_step))
-    """REINFORCE's network."""
-    model: SupervisedConfig = field(
-        default_factory=lambda: SupervisedConfig(
-            delta=True, normalise=True, spread=3.0, weight_variance=1 / 3
-        )
-    )
-    """The dynamics model."""
-    hparams: DynaHParams = field(
-        default_factory=lambda: DynaHParams(
-            agent=ReinforceHParams(),
-            model=SupervisedHParams(),
-            env=CartPoleParams(),
-            termination_threshold=0.1,
-        )
-    )
-    """Learning rates, discount, physics: what `jaxdyna.sweep` can sweep."""
-
-    def __post_init__(self) -> None:
-        for name in ("seeds", "episodes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"--{name} is {getattr(self, name)}: it must be at least 1")
-        if not 0 <= self.seed < 2**32:
-            raise ValueError(f"--seed is {self.seed}: it must lie between 0 and 2^32 - 1")
-        if not self.arms:
-            raise ValueError("--arms is empty: name at least one arm")
-        if self.stop_after_solved is not None and self.stop_after_solved < 0:
-            raise ValueError("--stop-after-solved is negative: give 0 or more, or None")
-        for flag, value, high in (
-            ("termination-threshold", self.hparams.termination_threshold, 1.0),
-            ("agent.discount", self.hparams.agent.discount, 1.0),
-            ("agent.learning-rate", self.hparams.agent.learning_rate, math.inf),
-            ("model.learning-rate", self.hparams.model.learning_rate, math.inf),
-            ("fake-weight", self.hparams.fake_weight, math.inf),
-        ):
-            if not 0 <= value <= high:
-                raise ValueError(f"--hparams.{flag} is {value}: it must lie between 0 and {high:g}")
-        dyna_config(self)
-
-
-def dyna_config(options: Options) -> DynaConfig:
-    """The counts of a run."""
-    return DynaConfig(
-        num_episodes=options.episodes,
-        num_real_first=options.real_first,
-        num_steps=RULES[options.env_version][0],
-        model_updates=options.model_updates,
-        model_batch=options.model_batch,
-        dream_updates=options.dream_updates,
-        dream_episodes=options.dream_episodes,
-        forget_every=options.forget_every,
-    )
 
 
 @cache
@@ -161,6 +63,7 @@ def make_dyna(
             model=state.model.params,
             start=state.starts if observed else jnp.zeros(4),
             termination_threshold=hparams.termination_threshold,
+            disagreement_threshold=hparams.disagreement_threshold,
             max_steps=hparams.env.max_steps,
         )
 
@@ -183,12 +86,16 @@ def overwrite_angle(predict: Predict) -> Predict:
 
 
 def make_arms(options: Options) -> dict[str, Arm]:
-    """The arms by name, each from the same parts; placebo is dyna with a learning rate of 0."""
+    """The arms by name, each from the same parts. The placebo's model computes its updates and
+    discards them; its dreams last to the horizon, because an untrained model would end each at
+    once.
+    """
     config = dyna_config(options)
     dyna = make_dyna(options.agent, options.model, options.dream_start, options.authors_bug)
-    env_params = replace(options.hparams.env, max_steps=config.num_steps)
-    hparams = replace(options.hparams, env=env_params)
-    untrained = replace(hparams, model=replace(hparams.model, learning_rate=0.0))
+    hparams = with_horizon(options).hparams
+    untrained = replace(
+        hparams, model_trains=False, termination_threshold=1.0, disagreement_threshold=math.inf
+    )
     alone = Dyna(dyna.env, dyna.agent)
     oracle = alone._replace(dream=Dream(dyna.env, lambda _, hparams: hparams.env))
     return {
@@ -199,13 +106,15 @@ def make_arms(options: Options) -> dict[str, Arm]:
     }
 
 
-PRESETS = {"paper": Options(), "lean": replace(Options(), preset="lean")}
+def with_horizon(options: Options) -> Options:
+    """The options with the episode's length that ``--env-version`` says."""
+    env_params = replace(options.hparams.env, max_steps=options.num_steps)
+    return replace(options, hparams=replace(options.hparams, env=env_params))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the experiment from the command line; returns the exit code."""
-    options = cli.parse(PRESETS, argv, PROG)
-    out = options.out or Path("runs") / f"cartpole-{options.preset}"
+    options = with_horizon(cli.parse(PRESETS, argv, PROG))
     arms = make_arms(options)
     chosen: dict[str, Arm] = {name: arms[name] for name in dict.fromkeys(options.arms)}
     session = Session(
@@ -213,10 +122,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         prog=PROG,
         argv=sys.argv[1:] if argv is None else argv,
         options=options,
-        out=out,
-        rule=RULES[options.env_version][1],
+        out=options.out or Path("runs") / f"cartpole-{options.preset}",
+        rule=options.rule,
         keys=jax.random.split(jax.random.key(options.seed), options.seeds),
-        report=CartPoleReport(options.preset, RULES[options.env_version][1], options.real_first),
+        report=CartPoleReport(options),
+        block=options.block,
     )
     return session.run(chosen)
 

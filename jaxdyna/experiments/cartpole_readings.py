@@ -17,13 +17,16 @@ import numpy as np
 from rich.console import Console
 
 from jaxdyna.agents.reinforce import over_batch, within_episode
-from jaxdyna.experiments import cartpole, cli, plots, report
+from jaxdyna.experiments import cartpole_options as cartpole
+from jaxdyna.experiments import cli, plots, report
+from jaxdyna.experiments.cartpole import make_arms
 from jaxdyna.experiments.report import Results, interval, markdown_table, number
 from jaxdyna.experiments.run import Arm, ArmRun
 from jaxdyna.experiments.session import Session
-from jaxdyna.statistics import SolveRule, episodes_to_solve
+from jaxdyna.statistics import SolveRule, bootstrap_interval, episodes_to_solve
 
 PROG = "python -m jaxdyna.experiments.cartpole_readings"
+PRESET = "dyna (paper preset)"
 Curves = dict[str, np.ndarray]
 
 
@@ -39,7 +42,7 @@ class Options:
     """Base seed of all runs."""
     episodes: int = 600
     """Real episodes of a run at the most."""
-    readings: tuple[str, ...] = ()
+    arms: tuple[str, ...] = ()
     """Names of the readings to play, as the table has them; all by default."""
     out: Path = Path("runs/cartpole-readings")
     """Folder for the results."""
@@ -51,19 +54,18 @@ class Options:
     def __post_init__(self) -> None:
         if self.preset != "paper":
             raise ValueError(f"--preset is {self.preset}: the readings are of the paper preset")
-        unknown = set(self.readings) - set(readings(self))
+        cli.check_common(self)
+        unknown = sorted(set(self.arms) - set(readings(self)))
         if unknown:
-            raise ValueError(
-                f"--readings: there is no {', '.join(sorted(unknown))}; "
-                f"there are {', '.join(readings(self))}"
-            )
+            there_are = "; ".join(readings(self))
+            raise ValueError(f"--arms: there is no {'; '.join(unknown)}; there are: {there_are}")
 
 
 def readings(options: Options) -> dict[str, Arm]:
     """Every reading by name, the preset itself first."""
     base = replace(
-        cartpole.PRESETS["paper"],
-        seeds=max(options.seeds, 1),
+        cartpole.PAPER,
+        seeds=options.seeds,
         episodes=options.episodes,
     )
     literal = replace(base.model, delta=False, normalise=False)
@@ -78,10 +80,11 @@ def readings(options: Options) -> dict[str, Arm]:
         return replace(base, hparams=replace(base.hparams, termination_threshold=value))
 
     variants = {
-        "dyna (paper preset)": base,
+        PRESET: base,
         "returns standardised within an episode": agent(within_episode),
         "returns standardised over the batch": agent(over_batch),
-        "1 fake episode an update, 2 a real one": replace(base, dream_episodes=1),
+        "2 updates on 1 fake episode each": replace(base, dream_episodes=1),
+        "16 updates on 1 fake episode each": replace(base, dream_updates=16, dream_episodes=1),
         "4 fake episodes an update": replace(base, dream_episodes=4),
         "4 updates on dreams": replace(base, dream_updates=4),
         "targets are next states": model(delta=False),
@@ -103,18 +106,28 @@ def readings(options: Options) -> dict[str, Arm]:
         "authors' slip: angle overwritten": replace(base, authors_bug=True),
     }
     arms = {name: _without_diagnosis(variant) for name, variant in variants.items()}
-    controls = cartpole.make_arms(base)
-    arms["true environment as the model"] = controls["oracle"]
+    return arms | _controls(base)
+
+
+def _controls(base: cartpole.Options) -> dict[str, Arm]:
+    """The true environment in the model's place, and no model at several learning rates."""
+    arms = {
+        "true environment as the model": make_arms(base)["oracle"],
+        "true environment, 2 updates on 1 fake episode each": make_arms(
+            replace(base, dream_episodes=1)
+        )["oracle"],
+    }
+    alone = make_arms(base)["model_free"]
     for rate in (0.005, 0.01, 0.015, 0.02):
-        arm = controls["model_free"]
-        hparams = replace(arm.hparams, agent=replace(arm.hparams.agent, learning_rate=rate))
-        arms[f"model-free, learning rate {rate:g}"] = arm._replace(hparams=hparams)
+        agent = replace(alone.hparams.agent, learning_rate=rate)
+        hparams = replace(alone.hparams, agent=agent)
+        arms[f"model-free, learning rate {rate:g}"] = alone._replace(hparams=hparams)
     return arms
 
 
 def _without_diagnosis(options: cartpole.Options) -> Arm:
     """The ``dyna`` arm without the running judgement of its model, which no table here needs."""
-    arm = cartpole.make_arms(options)["dyna"]
+    arm = make_arms(options)["dyna"]
     return arm._replace(dyna=arm.dyna._replace(diagnose=None))
 
 
@@ -130,8 +143,8 @@ class ReadingsReport:
         return {}
 
     def describe(self, curves: Curves) -> Results:
-        """Nothing beyond the Contract's figures."""
-        return {}
+        """What the first dreams were like."""
+        return {"first_dreams": report.first_dreams(curves, cartpole.PAPER.real_first)}
 
     def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
         """``readings.png``."""
@@ -151,8 +164,11 @@ class ReadingsReport:
                     f"`{results['command']}`",
                     "Each row changes one detail of the `dyna` arm of the `paper` preset. "
                     f"{str(self.rule).capitalize()}. At most {self.episodes} episodes; a mean "
-                    "with an unsolved run in it is shown as its lower bound (≥).",
-                    markdown_table(*_table(results)).rstrip(),
+                    "with an unsolved run in it is shown as its lower bound (≥). The seeds are the "
+                    "same in every row, so that the difference to the preset is paired (unsolved "
+                    f"counted as {self.episodes + 1}). Fake and real return: medians over the "
+                    "first 100 episodes with dreams.",
+                    markdown_table(*_long_table(results)).rstrip(),
                     "![every seed of every reading](readings.png)",
                 ]
             )
@@ -165,20 +181,45 @@ class ReadingsReport:
 
 
 def _table(results: Results) -> tuple[list[str], list[list[str]]]:
+    header = ["reading", "episodes to solve", "95% interval", "median", "solved"]
     rows = []
     for name, arm in results["arms"].items():
         solve = arm["episodes_to_solve"]
         solved = f"{solve['solved']}/{solve['seeds']}"
         rows.append([name, number(solve), interval(solve["ci95"]), number(solve, "median"), solved])
-    return ["reading", "episodes to solve", "95% interval", "median", "solved"], rows
+    return header, rows
+
+
+def _long_table(results: Results) -> tuple[list[str], list[list[str]]]:
+    """With the difference to the preset, seed by seed, and the first dreams beside the truth."""
+    header, rows = _table(results)
+    limit = results["config"]["episodes"] + 1
+    preset = _bounded(results["arms"].get(PRESET), limit)
+    for row, arm in zip(rows, results["arms"].values(), strict=True):
+        if preset is None or row[0] == PRESET:
+            row.append("-")
+        else:
+            difference = _bounded(arm, limit) - preset
+            ends = bootstrap_interval(difference, lambda values: values.mean(-1))
+            row.append(f"{difference.mean():+.0f} ({interval(ends)})")
+        dreams = arm["first_dreams"]
+        row.append(f"{dreams['fake_return']:.0f} / {dreams['real_return']:.0f}" if dreams else "-")
+    return [*header, "longer than the preset", "first dreams: fake / real return"], rows
+
+
+def _bounded(arm: Results | None, limit: int) -> Any:
+    if arm is None:
+        return None
+    values = arm["episodes_to_solve"]["per_seed"]
+    return np.array([limit if value is None else value for value in values], float)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the readings from the command line; returns the exit code."""
     options = cli.parse({"paper": Options()}, argv, PROG)
     arms = readings(options)
-    chosen = {name: arms[name] for name in options.readings or arms}
-    rule = cartpole.RULES["v0"][1]
+    chosen = {name: arms[name] for name in options.arms or arms}
+    rule = cartpole.PAPER.rule
     session = Session(
         experiment="cartpole_readings",
         prog=PROG,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
+import math
 import os
 import sys
 from collections.abc import Sequence
@@ -47,6 +49,42 @@ def fail(message: str, prog: str) -> NoReturn:
     """Ends the process with code 2 and one line."""
     print(f"{prog}: error: {message}", file=sys.stderr)
     raise SystemExit(2)
+
+
+def check_common(options: Any) -> None:
+    """Checks the options that every experiment has.
+
+    Raises:
+        ValueError: with what to change.
+    """
+    for name in ("seeds", "episodes"):
+        if getattr(options, name) < 1:
+            raise ValueError(f"--{name} is {getattr(options, name)}: it must be at least 1")
+    if not 0 <= options.seed < 2**32:
+        raise ValueError(f"--seed is {options.seed}: it must lie between 0 and 2^32 - 1")
+    if options.stop_after_solved is not None and options.stop_after_solved < 0:
+        raise ValueError("--stop-after-solved is negative: give 0 or more, or None")
+
+
+def check_numbers(settings: Any, flag: str, may_be_infinite: Sequence[str] = ()) -> None:
+    """Checks that every number in nested dataclasses is finite.
+
+    Args:
+        settings: a dataclass.
+        flag: how the command line names it, such as ``--hparams``.
+        may_be_infinite: names of fields that only must not be NaN.
+
+    Raises:
+        ValueError: with what to change.
+    """
+    for item in dataclasses.fields(settings):
+        value, name = getattr(settings, item.name), f"{flag}.{item.name.replace('_', '-')}"
+        if dataclasses.is_dataclass(value):
+            check_numbers(value, name, may_be_infinite)
+        elif isinstance(value, float) and not math.isfinite(value):
+            if not math.isnan(value) and item.name in may_be_infinite:
+                continue
+            raise ValueError(f"{name} is {value}: it must be a finite number")
 
 
 def check_writable(directory: Path) -> None:

@@ -110,6 +110,7 @@ def prediction_figure(
             for kind, style in styles.items():
                 panel.plot(np.arange(1, len(series[kind]) + 1), series[kind][:, row], **style)
             truth = np.concatenate([series["truth"][:, row], series["one_step"][:, row]])
+            truth = truth[np.isfinite(truth)]
             margin = max(0.25 * np.ptp(truth), 0.05)
             panel.set_ylim(truth.min() - margin, truth.max() + margin)
             panel.spines[["top", "right"]].set_visible(False)

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import os
 import platform
+import warnings
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -29,6 +30,7 @@ from jaxdyna.statistics import (
 Curves = Mapping[str, np.ndarray]
 Results = dict[str, Any]
 
+FIRST_DREAMS = 100
 PACKAGES = ("jax", "jaxlib", "flax", "optax", "numpy", "gymnasium")
 
 
@@ -44,29 +46,46 @@ def describe_arm(curves: Curves, rule: SolveRule) -> Results:
     solved = np.isfinite(solved_at)
     last = curves["real_return"][:, -rule.window :].mean(-1)
     steps = steps_before(curves["real_length"], first)
-    played = curves["real_length"].sum(-1)
+    # An unsolved run solves with its next episode at the earliest.
+    episodes = curves["real_return"].shape[1]
+    first_possible = max(episodes - rule.window + 2, 1)
+    steps_at_least = curves["real_length"][:, : first_possible - 1].sum(-1)
     return {
-        "episodes_to_solve": summarise(solved_at, at_least=curves["real_return"].shape[1]),
-        "first_solved": summarise(first, at_least=curves["real_return"].shape[1] - rule.window + 2),
-        "real_steps_to_solve": summarise(steps, at_least=played),
+        "episodes_to_solve": summarise(solved_at, at_least=episodes + 1),
+        "first_solved": summarise(first, at_least=first_possible),
+        "real_steps_to_solve": summarise(steps, at_least=steps_at_least),
         "final_return": summarise(last, solved),
-        "episodes_played": int(curves["real_return"].shape[1]),
+        "episodes_played": int(episodes),
         "solve_rule": str(rule),
     }
 
 
 def compare(arms: Results, baseline: str) -> Results:
     """Ratio of each arm's mean ``episodes_to_solve`` to the baseline's, with its interval; an
-    unsolved run of the baseline counts as the episodes that it played.
+    unsolved run of the baseline counts as one episode more than it played.
     """
     if baseline not in arms:
         return {}
-    denominator, played = _per_seed(arms[baseline]), arms[baseline]["episodes_played"]
+    denominator, at_least = _per_seed(arms[baseline]), arms[baseline]["episodes_played"] + 1
     return {
-        name: ratio_of_means(_per_seed(arm), denominator, played)
+        name: ratio_of_means(_per_seed(arm), denominator, at_least)
         for name, arm in arms.items()
         if name != baseline
     }
+
+
+def first_dreams(curves: Curves, real_first: int) -> Results:
+    """Medians of fake and real return and length over seeds and the `FIRST_DREAMS` episodes after
+    the first ``real_first``; empty for an arm without dreams, NaN where none took place.
+    """
+    if "fake_length" not in curves:
+        return {}
+    after = slice(real_first, real_first + FIRST_DREAMS)
+    with warnings.catch_warnings(action="ignore"):
+        return {
+            name: float(np.nanmedian(curves[name][:, after]))
+            for name in ("fake_return", "real_return", "fake_length", "real_length")
+        }
 
 
 def _per_seed(arm: Results) -> np.ndarray:
@@ -97,7 +116,7 @@ def plain(value: Any) -> Any:
         return {name: plain(item) for name, item in value.items()}
     if isinstance(value, tuple | list):
         return [plain(item) for item in value]
-    if isinstance(value, Path):
+    if isinstance(value, Path) or (isinstance(value, float) and not np.isfinite(value)):
         return str(value)
     if callable(value):
         return getattr(value, "__name__", type(value).__name__)
@@ -105,9 +124,17 @@ def plain(value: Any) -> Any:
 
 
 def write_json(path: Path, results: Results) -> None:
-    """Writes strict JSON, whole or not at all."""
-    text = json.dumps(results, indent=1, allow_nan=False) + "\n"
+    """Writes strict JSON, whole or not at all; what is not finite becomes null."""
+    text = json.dumps(_finite(results), indent=1, allow_nan=False) + "\n"
     _replace(path, text.encode())
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def write_curves(path: Path, arms: Mapping[str, Curves]) -> None:
@@ -162,7 +189,7 @@ def arm_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str], 
     """Header and rows of the table of arms, the paper's figure beside ours."""
     header = [
         "arm", "paper", "episodes to solve: mean", "95% interval", "median", "IQM", "solved",
-        "first solved: mean", "real steps before it: mean", "final return: mean",
+        "first solved: mean", "real steps before it: mean", "return of the last 100 played: mean",
     ]  # fmt: skip
     rows = []
     for name, arm in results["arms"].items():
@@ -187,7 +214,7 @@ def arm_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str], 
 def short_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
     """The same for the terminal: what fits 80 columns."""
     _, rows = arm_table(results, paper)
-    header = ["arm", "paper", "episodes to solve", "median", "solved", "final return"]
+    header = ["arm", "paper", "episodes to solve", "median", "solved", "last return"]
     return header, [
         [row[0], row[1], f"{row[2]} ({row[3]})", row[4], row[6], row[9]] for row in rows
     ]

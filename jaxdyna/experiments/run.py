@@ -17,7 +17,7 @@ import numpy as np
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, make_advance, make_init
 from jaxdyna.experiments.checkpoint import Checkpoints
 from jaxdyna.statistics import SolveRule, episodes_to_solve
-from jaxdyna.sweep import make_pieces
+from jaxdyna.sweep import AXES, make_pieces
 
 CHECKPOINT_SECONDS = 20.0
 PIECE_EPISODES = 50
@@ -57,6 +57,7 @@ class Runner:
         stop_after_solved: real episodes that an arm plays on once all its seeds have solved;
             None plays all.
         directory: where checkpoints live; None keeps none.
+        block: seeds vmapped together on a CPU, see `jaxdyna.sweep.sweep`.
         report: called with ``(stage, done, total, solved)`` whenever one of them changes.
     """
 
@@ -64,6 +65,7 @@ class Runner:
     rule: SolveRule
     stop_after_solved: int | None = None
     directory: Path | None = None
+    block: int | None = None
     report: Callable[[str, int, int, int], None] = lambda *_: None
     programs: dict[Any, tuple[Callable, Callable]] = field(default_factory=dict)
 
@@ -105,8 +107,10 @@ class Runner:
     def _compile(self, arm: Arm, piece: int) -> tuple[Callable, Callable]:
         known = (arm.dyna, arm.config)
         if known not in self.programs:
-            init, advance = make_init(arm.dyna, arm.config), make_advance(arm.dyna, arm.config)
-            start, proceed = make_pieces(init, advance)
+            init = make_init(arm.dyna, arm.config)
+            advance = make_advance(arm.dyna, arm.config, AXES)
+            block = self.block if jax.default_backend() == "cpu" else None
+            start, proceed = make_pieces(init, advance, block)
             state = jax.eval_shape(start, jax.random.clone(self.keys), arm.hparams)
             whole = (
                 jax.jit(proceed, donate_argnums=0)

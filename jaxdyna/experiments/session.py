@@ -74,6 +74,7 @@ class Session:
         rule: when a run counts as solved.
         keys: random keys ``[seeds]``.
         report: the experiment's own part of the report.
+        block: see `jaxdyna.experiments.run.Runner`.
     """
 
     experiment: str
@@ -84,11 +85,12 @@ class Session:
     rule: SolveRule
     keys: jax.Array
     report: Report
+    block: int | None = None
     console: Console = field(default_factory=lambda: Console(highlight=False))
 
     def run(self, arms: Mapping[str, Arm]) -> int:
         """Runs the arms; returns the exit code: 0, 2 on bad input, 130 after Ctrl-C."""
-        self._began, self._earlier_s = time.perf_counter(), 0.0
+        self._began, self._earlier_s, self._command = time.perf_counter(), 0.0, self._as_typed()
         self._timing: dict[str, dict[str, float]] = {}
         curves: dict[str, Curves] = {}
         try:
@@ -98,13 +100,17 @@ class Session:
         except ValueError as error:
             cli.fail(str(error), self.prog)
         if not self.options.resume:
-            shutil.rmtree(self.out / "checkpoints", ignore_errors=True)
+            self._set_aside()
         (self.out / "checkpoints").mkdir(exist_ok=True)
         write_json(self.out / "checkpoints" / "settings.json", self._settings())
         code = 0
         try:
             self._play(arms, curves)
             shutil.rmtree(self.out / "checkpoints", ignore_errors=True)
+        except jax.errors.JaxRuntimeError as error:
+            if "RESOURCE_EXHAUSTED" not in str(error):
+                raise
+            cli.fail("out of memory: lower --seeds or --episodes", self.prog)
         except KeyboardInterrupt:
             code = 130
             self.console.print(
@@ -112,7 +118,8 @@ class Session:
                 "the same command with --resume goes on."
             )
         if curves:
-            self._write(curves, figures=True)
+            in_order = {name: curves[name] for name in (*arms, *curves) if name in curves}
+            self._write(in_order, figures=True)
         return code
 
     def _play(self, arms: Mapping[str, Arm], curves: dict[str, Curves]) -> None:
@@ -123,7 +130,11 @@ class Session:
             TextColumn("{task.fields[note]}"),
         )  # fmt: skip
         runner = Runner(
-            self.keys, self.rule, self.options.stop_after_solved, self.out / "checkpoints"
+            self.keys,
+            self.rule,
+            self.options.stop_after_solved,
+            self.out / "checkpoints",
+            self.block,
         )
         with Progress(*columns, console=self.console, speed_estimate_period=120) as progress:
             for name, arm in arms.items():
@@ -180,9 +191,27 @@ class Session:
             )
         if finished != now:
             return {}
-        self._earlier_s = results["timing"]["total_s"]
-        self._timing = results["timing"]["arms"]
+        timing = results["timing"]
+        self._earlier_s = max(timing["total_s"], timing["compile_s"] + timing["run_s"])
+        self._timing = timing["arms"]
+        if results["command"] != self._command:
+            self._command = f"{results['command']} && {self._command} --resume"
         return read_curves(self.out / "curves.npz")
+
+    def _as_typed(self) -> str:
+        from_start = [argument for argument in self.argv if argument != "--resume"]
+        return f"{self.prog} {shlex.join(from_start)}".strip()
+
+    def _set_aside(self) -> None:
+        """Moves an earlier run's results into the folder ``previous``."""
+        shutil.rmtree(self.out / "checkpoints", ignore_errors=True)
+        if not (self.out / "results.json").exists():
+            return
+        shutil.rmtree(self.out / "previous", ignore_errors=True)
+        (self.out / "previous").mkdir()
+        for pattern in ("results.json", "curves.npz", "report.md", "*.png"):
+            for file in self.out.glob(pattern):
+                file.rename(self.out / "previous" / file.name)
 
     def _settings(self) -> Results:
         config = plain(self.options)
@@ -209,12 +238,11 @@ class Session:
             for part in ("compile_s", "run_s")
         }
         total_s = self._earlier_s + time.perf_counter() - self._began
-        from_start = [argument for argument in self.argv if argument != "--resume"]
         return {
             "experiment": self.experiment,
-            "command": f"{self.prog} {shlex.join(from_start)}".strip(),
+            "command": self._command,
             "preset": self.options.preset,
-            "config": plain(self.options),
+            "config": plain(self.options) | {"arms": list(curves)},
             **environment(),
             "timing": total | {"total_s": total_s, "arms": self._timing},
             "arms": arms,
@@ -223,4 +251,7 @@ class Session:
 
 
 def _read_json(path: Path) -> Any:
-    return json.loads(path.read_text()) if path.exists() else None
+    try:
+        return json.loads(path.read_text()) if path.exists() else None
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} is not whole ({error}): run without --resume") from None

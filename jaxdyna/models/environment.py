@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -22,12 +23,15 @@ class LearnedParams:
         start: what the function that draws start states takes.
         termination_threshold: the probability of the end above which a fake episode terminates
             (`threshold_rule`).
+        disagreement_threshold: how far the members of an ensemble may be apart before a fake
+            episode terminates (`threshold_rule`), in the units of `Prediction.disagreement`.
         max_steps: steps until truncation.
     """
 
     model: Any
     start: Any = None
     termination_threshold: float | jax.Array = 0.5
+    disagreement_threshold: float | jax.Array = math.inf
     max_steps: int | jax.Array = 200
 
 
@@ -40,9 +44,13 @@ class LearnedState:
 
 
 def threshold_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
-    """Terminates where the predicted probability exceeds ``params.termination_threshold``."""
+    """Terminates where the predicted probability exceeds ``params.termination_threshold``, and
+    where an ensemble disagrees by more than ``params.disagreement_threshold``: what is not known
+    is as bad as the end (the pessimism of MOReL, Kidambi et al. 2020).
+    """
     del key
-    return prediction.terminated > params.termination_threshold
+    ends = prediction.terminated > params.termination_threshold
+    return ends | (prediction.disagreement > params.disagreement_threshold)
 
 
 def sample_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
@@ -99,7 +107,8 @@ class LearnedEnvironment:
         """One predicted step; ``info["prediction"]`` is the whole `Prediction`."""
         key_predict, key_end = jax.random.split(key)
         prediction = self.predict(params.model, state.obs, action, key_predict)
-        state = LearnedState(prediction.next_obs, state.time + 1)
+        next_obs = prediction.next_obs.astype(state.obs.dtype)
+        state = LearnedState(next_obs, state.time + 1)
         terminated = self.terminates(prediction, params, key_end)
         truncated = state.time >= params.max_steps
         info = {"prediction": prediction}

@@ -48,7 +48,7 @@ def open_loop(predict: Predict, params: Any, obs: jax.Array, action: jax.Array, 
         obs, key = carry
         key, key_predict = jax.random.split(key)
         prediction = predict(params, obs, action, key_predict)
-        return (prediction.next_obs, key), prediction
+        return (prediction.next_obs.astype(obs.dtype), key), prediction
 
     _, predictions = jax.lax.scan(step, (obs, key), action)
     return predictions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -59,8 +60,11 @@ class SupervisedConfig:
     def __post_init__(self) -> None:
         if self.ensemble < 1:
             raise ValueError(f"an ensemble of {self.ensemble} members: it needs at least 1")
-        if not self.spread > 0:
-            raise ValueError(f"spread is {self.spread}: it must be above 0")
+        if min(self.hidden, default=1) < 1:
+            raise ValueError(f"hidden widths are {self.hidden}: each must be at least 1")
+        for name in ("spread", "weight_variance"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must be above 0 and finite")
 
 
 @struct.dataclass

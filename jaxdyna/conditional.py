@@ -1,0 +1,37 @@
+"""Work that some of the runs vmapped together need and others do not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+
+def where_needed(
+    phase: jax.Array | bool,
+    needed: jax.Array | bool,
+    axes: tuple[str, ...],
+    work: Callable[[], tuple[Any, dict[str, jax.Array]]],
+    idle: Any,
+) -> tuple[Any, dict[str, jax.Array]]:
+    """What ``work`` returns in this phase and where this run needs it, else ``idle`` and NaN.
+
+    Args:
+        phase: the same for all runs that are vmapped together; False skips the work.
+        needed: whether this run needs it.
+        axes: names of the axes that runs are vmapped along: where none of them needs it the work
+            is skipped too. Without names it is done and discarded.
+        work: returns ``(result, metrics)``; metrics are floats.
+        idle: what stands in for the result; NaN stands in for the metrics.
+    """
+    anywhere = jnp.asarray(phase, bool)
+    if axes:
+        anywhere = anywhere & (jax.lax.pmax(jnp.asarray(needed, jnp.int32), axes) > 0)
+    unknown = jax.tree.map(
+        lambda metric: jnp.full(metric.shape, jnp.nan, metric.dtype), jax.eval_shape(work)[1]
+    )
+    nothing = (idle, unknown)
+    done = jax.lax.cond(anywhere, work, lambda: nothing)
+    return jax.tree.map(lambda new, old: jnp.where(needed, new, old), done, nothing)

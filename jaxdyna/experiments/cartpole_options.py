@@ -1,0 +1,167 @@
+"""The settings of the CartPole experiment: its command line and its presets."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import optax
+
+from jaxdyna.agents import ReinforceConfig, ReinforceHParams
+from jaxdyna.agents.reinforce import per_step
+from jaxdyna.dyna import DynaConfig, DynaHParams
+from jaxdyna.envs import CartPoleParams
+from jaxdyna.experiments import cli
+from jaxdyna.models import SupervisedConfig, SupervisedHParams
+from jaxdyna.statistics import SolveRule
+
+ArmName = Literal["model_free", "dyna", "placebo", "oracle"]
+STEPS = {"v0": 200, "v1": 500}
+RULES = {"v0": SolveRule(100, 195.0), "v1": SolveRule(100, 475.0)}
+
+
+@dataclass(frozen=True)
+class Options:
+    """REINFORCE on CartPole, with and without fake episodes from a learned model."""
+
+    preset: Literal["paper", "lean"] = "paper"
+    """paper: the paper's protocol. lean: the fewest real episodes."""
+    seeds: int = 10
+    """Runs of every arm, all in one jitted program."""
+    seed: int = 0
+    """Base seed of all runs."""
+    episodes: int = 1000
+    """Real episodes of a run at the most."""
+    arms: tuple[ArmName, ...] = ("model_free", "dyna")
+    """model_free, dyna, and the controls: placebo never trains its model, oracle dreams in the true
+    environment."""
+    out: Path | None = None
+    """Folder for the results; runs/cartpole-PRESET by default."""
+    resume: bool = False
+    """Go on with the run in that folder, bit for bit."""
+    stop_after_solved: int | None = 100
+    """Episodes an arm plays on once all its seeds have solved; None plays all of them."""
+    env_version: Literal["v0", "v1"] = "v0"
+    """v0: 200 steps, solved at 195. v1: 500 steps, solved at 475."""
+    real_first: int = 100
+    """N of the paper: real episodes before the first dream."""
+    model_updates: int = 60
+    """Gradient steps of the model after each real episode."""
+    model_batch: int = 16
+    """Transitions in each."""
+    dream_updates: int = 2
+    """Policy updates on dreams after each real episode."""
+    dream_episodes: int = 8
+    """Fake episodes in each."""
+    dream_start: Literal["observed", "uniform"] = "observed"
+    """Where dreams begin: first observations of real episodes, or the authors' uniform ±0.1."""
+    rest_when_safe: bool = False
+    """Learn only while something still falls: see `jaxdyna.settings.DynaConfig`."""
+    authors_bug: bool = False
+    """Overwrite the dreamed pole angle with the cart's velocity, as the authors' code does."""
+    forget_every: int = 0
+    """Empty the replay every so many real episodes, as the authors' code does; 0 never."""
+    block: int | None = None
+    """Runs vmapped together on a CPU, blocks one after the other; None for all at once."""
+    agent: ReinforceConfig = field(default_factory=lambda: ReinforceConfig(advantage=per_step))
+    """REINFORCE's network."""
+    model: SupervisedConfig = field(
+        default_factory=lambda: SupervisedConfig(
+            delta=True, normalise=True, spread=3.0, weight_variance=1 / 3
+        )
+    )
+    """The dynamics model."""
+    hparams: DynaHParams = field(
+        default_factory=lambda: DynaHParams(
+            agent=ReinforceHParams(),
+            model=SupervisedHParams(),
+            env=CartPoleParams(),
+            termination_threshold=0.1,
+        )
+    )
+    """Learning rates, discount, physics: what `jaxdyna.sweep` can sweep."""
+
+    def __post_init__(self) -> None:
+        cli.check_common(self)
+        if not self.arms:
+            raise ValueError("--arms is empty: name at least one arm")
+        if self.block is not None and self.block < 1:
+            raise ValueError(f"--block is {self.block}: it must be at least 1, or None")
+        cli.check_numbers(self.hparams, "--hparams", may_be_infinite=["disagreement_threshold"])
+        for flag, value, high in (
+            ("termination-threshold", self.hparams.termination_threshold, 1.0),
+            ("agent.discount", self.hparams.agent.discount, 1.0),
+            ("agent.learning-rate", self.hparams.agent.learning_rate, math.inf),
+            ("model.learning-rate", self.hparams.model.learning_rate, math.inf),
+            ("real-weight", self.hparams.real_weight, math.inf),
+            ("fake-weight", self.hparams.fake_weight, math.inf),
+        ):
+            if not 0 <= value <= high:
+                raise ValueError(f"--hparams.{flag} is {value}: it must lie between 0 and {high:g}")
+        for name in ("masscart", "masspole", "length", "tau"):
+            if not getattr(self.hparams.env, name) > 0:
+                raise ValueError(f"--hparams.env.{name} must be above 0")
+        if self.hparams.env.max_steps not in (CartPoleParams().max_steps, self.num_steps):
+            raise ValueError("--hparams.env.max-steps is decided by --env-version: leave it out")
+        dyna_config(self)
+
+    @property
+    def num_steps(self) -> int:
+        """The longest episode."""
+        return STEPS[self.env_version]
+
+    @property
+    def rule(self) -> SolveRule:
+        """When a run counts as solved."""
+        return RULES[self.env_version]
+
+
+def dyna_config(options: Options) -> DynaConfig:
+    """The counts of a run."""
+    return DynaConfig(
+        num_episodes=options.episodes,
+        num_real_first=options.real_first,
+        num_steps=options.num_steps,
+        model_updates=options.model_updates,
+        model_batch=options.model_batch,
+        dream_updates=options.dream_updates,
+        dream_episodes=options.dream_episodes,
+        forget_every=options.forget_every,
+        rest_when_safe=options.rest_when_safe,
+    )
+
+
+PAPER = Options()
+LEAN = replace(
+    PAPER,
+    preset="lean",
+    episodes=150,
+    stop_after_solved=None,
+    real_first=3,
+    model_updates=100,
+    model_batch=32,
+    dream_updates=40,
+    dream_episodes=16,
+    rest_when_safe=True,
+    block=10,
+    model=SupervisedConfig(
+        hidden=(64, 64),
+        sum_loss=False,
+        delta=True,
+        normalise=True,
+        one_hot=True,
+        ensemble=5,
+        optimizer=optax.adam,
+    ),
+    hparams=DynaHParams(
+        agent=ReinforceHParams(discount=0.995),
+        model=SupervisedHParams(learning_rate=3e-3),
+        env=CartPoleParams(),
+        real_weight=0.0,
+        termination_threshold=0.2,
+        disagreement_threshold=0.5,
+    ),
+)
+PRESETS = {"paper": PAPER, "lean": LEAN}
