@@ -188,16 +188,16 @@ def test_double_precision(precision, tmp_path):
 )
 def test_readings_check_their_settings(arguments, capsys):
     with pytest.raises(SystemExit) as stop:
-        cartpole_readings.main(arguments)
+        cartpole_readings.READINGS.main(arguments)
     assert stop.value.code == 2 and len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
 def test_readings_report(tmp_path):
     arguments = ["--seeds", "2", "--episodes", "101", "--out", str(tmp_path), "--arms"]
     names = ["model-free, learning rate 0.01", "true environment as the model"]
-    assert cartpole_readings.main([*arguments, *names]) == 0
+    assert cartpole_readings.READINGS.main([*arguments, *names]) == 0
     text = (tmp_path / "report.md").read_text()
-    assert all(f"| {name} |" in text for name in names) and (tmp_path / "readings.png").exists()
+    assert all(f"| {name} |" in text for name in names) and (tmp_path / "variants.png").exists()
 
 
 def test_help_names_the_contracts_options(capsys):

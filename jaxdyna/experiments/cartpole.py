@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,42 +33,70 @@ from jaxdyna.models import (
     uniform_start,
 )
 from jaxdyna.models.evaluation import Predict, one_step_sums
+from jaxdyna.replay import Replay
 
 PROG = "python -m jaxdyna.experiments.cartpole"
 
 
 @cache
-def make_dyna(
-    agent_config: ReinforceConfig,
-    model_config: SupervisedConfig,
-    dream_start: str,
-    authors_bug: bool,
-) -> Dyna:
+def make_dyna(agent_config: ReinforceConfig, model_config: SupervisedConfig, dream: Dreams) -> Dyna:
     """The parts of the ``dyna`` arm: one object, and so one program, for the same settings."""
     env = CartPole()
     agent = reinforce((4,), env.num_actions, agent_config)
     model = supervised(4, env.num_actions, model_config)
-    observed = dream_start == "observed"
-
-    def draw_observed(key, starts):
-        return replay.sample(starts, key, ())
-
-    learned = LearnedEnvironment(
-        env,
-        overwrite_angle(model.predict) if authors_bug else model.predict,
-        draw_observed if observed else uniform_start(-0.1, 0.1),
-    )
+    predict = overwrite_angle(model.predict) if dream.authors_bug else model.predict
+    predict = add_noise(predict, dream.noise) if dream.noise else predict
+    learned = LearnedEnvironment(env, predict, START_STATES[dream.start])
 
     def learned_params(state: DynaState, hparams: DynaHParams) -> LearnedParams:
+        sources = {"observed": state.starts, "uniform": jnp.zeros(4), "branched": state.replay}
         return LearnedParams(
             model=state.model.params,
-            start=state.starts if observed else jnp.zeros(4),
+            start=sources[dream.start],
             termination_threshold=hparams.termination_threshold,
             disagreement_threshold=hparams.disagreement_threshold,
-            max_steps=hparams.env.max_steps,
+            max_steps=dream.steps or hparams.env.max_steps,
         )
 
-    return Dyna(env, agent, model, Dream(learned, learned_params), one_step_sums(model.predict))
+    return Dyna(env, agent, model, Dream(learned, learned_params), one_step_sums(predict))
+
+
+class Dreams(NamedTuple):
+    """What decides the world of the dreams beside the model, see `Options`."""
+
+    start: str
+    steps: int | None
+    noise: float
+    authors_bug: bool
+
+
+def draw_observed(key: jax.Array, starts: Replay) -> jax.Array:
+    """One of the first observations of real episodes."""
+    return replay.sample(starts, key, ())
+
+
+def draw_branched(key: jax.Array, held: Replay) -> jax.Array:
+    """One of all real observations."""
+    return replay.sample(held, key, ()).obs
+
+
+START_STATES = {
+    "observed": draw_observed,
+    "uniform": uniform_start(-0.1, 0.1),
+    "branched": draw_branched,
+}
+
+
+def add_noise(predict: Predict, scale: float) -> Predict:
+    """Gaussian noise on the predicted state, in standard deviations of the model's targets."""
+
+    def noisy(params, obs, action, key):
+        key_predict, key_noise = jax.random.split(key)
+        prediction = predict(params, obs, action, key_predict)
+        noise = scale * params.targets.std * jax.random.normal(key_noise, obs.shape)
+        return prediction._replace(next_obs=prediction.next_obs + noise)
+
+    return noisy
 
 
 def overwrite_angle(predict: Predict) -> Predict:
@@ -91,7 +120,10 @@ def make_arms(options: Options) -> dict[str, Arm]:
     once.
     """
     config = dyna_config(options)
-    dyna = make_dyna(options.agent, options.model, options.dream_start, options.authors_bug)
+    dream = Dreams(
+        options.dream_start, options.dream_steps, options.dream_noise, options.authors_bug
+    )
+    dyna = make_dyna(options.agent, options.model, dream)
     hparams = with_horizon(options).hparams
     untrained = replace(
         hparams, model_trains=False, termination_threshold=1.0, disagreement_threshold=math.inf

@@ -55,8 +55,13 @@ class Options:
     """Policy updates on dreams after each real episode."""
     dream_episodes: int = 8
     """Fake episodes in each."""
-    dream_start: Literal["observed", "uniform"] = "observed"
-    """Where dreams begin: first observations of real episodes, or the authors' uniform ±0.1."""
+    dream_start: Literal["observed", "uniform", "branched"] = "observed"
+    """Where dreams begin: first observations of real episodes, the authors' uniform ±0.1, or any
+    observation of a real episode."""
+    dream_steps: int | None = None
+    """The longest fake episode; None for as long as a real one."""
+    dream_noise: float = 0.0
+    """Standard deviation of noise on every predicted state, in those of the model's targets."""
     rest_when_safe: bool = False
     """Learn only while something still falls: see `jaxdyna.settings.DynaConfig`."""
     authors_bug: bool = False
@@ -89,6 +94,10 @@ class Options:
             raise ValueError("--arms is empty: name at least one arm")
         if self.block is not None and self.block < 1:
             raise ValueError(f"--block is {self.block}: it must be at least 1, or None")
+        if self.dream_steps is not None and self.dream_steps < 1:
+            raise ValueError(f"--dream-steps is {self.dream_steps}: it must be at least 1, or None")
+        if not 0 <= self.dream_noise < math.inf:
+            raise ValueError(f"--dream-noise is {self.dream_noise}: it must be 0 or more")
         cli.check_numbers(self.hparams, "--hparams", may_be_infinite=["disagreement_threshold"])
         for flag, value, high in (
             ("termination-threshold", self.hparams.termination_threshold, 1.0),
@@ -142,7 +151,7 @@ LEAN = replace(
     real_first=3,
     model_updates=100,
     model_batch=32,
-    dream_updates=40,
+    dream_updates=20,
     dream_episodes=16,
     rest_when_safe=True,
     block=10,
@@ -152,16 +161,16 @@ LEAN = replace(
         delta=True,
         normalise=True,
         one_hot=True,
-        ensemble=5,
+        ensemble=3,
         optimizer=optax.adam,
     ),
     hparams=DynaHParams(
-        agent=ReinforceHParams(discount=0.995),
+        agent=ReinforceHParams(learning_rate=0.02, discount=0.995),
         model=SupervisedHParams(learning_rate=3e-3),
         env=CartPoleParams(),
         real_weight=0.0,
-        termination_threshold=0.2,
-        disagreement_threshold=0.5,
+        termination_threshold=0.1,
+        disagreement_threshold=0.3,
     ),
 )
 PRESETS = {"paper": PAPER, "lean": LEAN}

@@ -54,6 +54,8 @@ class CartPoleReport:
             solved_at,
             self.options.real_first,
         )
+        first = {name: values - self.options.rule.window + 1 for name, values in solved_at.items()}
+        plots.solved_share(out / "solved.png", first)
         for name, values in curves.items():
             if "example_policy_truth" not in values:
                 continue
@@ -78,6 +80,12 @@ class CartPoleReport:
             markdown_table(header, rows),
             *self._comparison(results),
             "![Fig. 6: return against real episodes](fig6.png)",
+            "## The whole distribution",
+            "`first_solved`, the number of the solving window's first episode, in quantiles over "
+            "the runs; how many held: solved, and at or above the threshold on average over the "
+            f"last {report.HELD_EPISODES} episodes played.",
+            markdown_table(*report.quantile_table(results)),
+            "![share of the runs that have solved](solved.png)",
             *reading(self.options),
             *self._models(results),
             *_timing(results),
@@ -131,7 +139,11 @@ def reading(options: Options) -> list[str]:
     loss = "a sum over the batch" if model.sum_loss else "a mean of the batch"
     target = "the change of the state" if model.delta else "the next state"
     scale = f"scaled by {model.spread:g} standard deviation(s)" if model.normalise else "not scaled"
-    start = "where real episodes did" if options.dream_start == "observed" else "uniformly in ±0.1"
+    start = {
+        "observed": "where real episodes did",
+        "uniform": "uniformly in ±0.1",
+        "branched": "from any real state",
+    }[options.dream_start]
     unsure = (
         f", or the members disagree by more than {hparams.disagreement_threshold:g} standard "
         "deviations"
@@ -150,14 +162,16 @@ def reading(options: Options) -> list[str]:
         f"Dreams: from real episode {options.real_first} on, {options.dream_updates} policy "
         f"updates on {options.dream_episodes} fake episodes each after every real one. A fake "
         f"episode starts {start} and ends at p(end) > {hparams.termination_threshold:g}{unsure}, "
-        f"or after {options.num_steps} steps. From then on a real transition's weight is "
-        f"{hparams.real_weight:g} and a fake one's {hparams.fake_weight:g}.",
+        f"or after {options.dream_steps or options.num_steps} steps. From then on a real "
+        f"transition's weight is {hparams.real_weight:g} and a fake one's {hparams.fake_weight:g}.",
     ]
     if options.rest_when_safe:
         lines.append(
             "Rest: no model updates and no dreams after a real episode that did not fall, no "
             "further dreams after a batch of them in which nothing fell."
         )
+    if options.dream_noise:
+        lines.append(f"Noise of {options.dream_noise:g} standard deviations on predicted states.")
     if options.authors_bug:
         lines.append("The authors' slip is in place: the dreamed angle is overwritten.")
     note = (

@@ -123,14 +123,17 @@ def prediction_figure(
     _save(figure, path, top=0.96)
 
 
-def solve_bars(path: Path, solved_at: Mapping[str, np.ndarray], limit: int, title: str) -> None:
-    """Episodes to solve of many settings: every seed a dot, the mean a bar; unsolved on the right.
+def solve_bars(
+    path: Path, solved_at: Mapping[str, np.ndarray], limit: int, title: str, axis: str
+) -> None:
+    """When many settings solved: every seed a dot, the mean a bar; unsolved on the right.
 
     Args:
         path: the PNG.
         solved_at: by setting, ``[seeds]``, infinity where unsolved.
         limit: the number of episodes played at the most.
         title: above the figure.
+        axis: what ``solved_at`` is.
     """
     figure, panel = plt.subplots(figsize=(8.5, 0.42 * len(solved_at) + 1.4))
     jitter = np.random.default_rng(0)
@@ -144,10 +147,38 @@ def solve_bars(path: Path, solved_at: Mapping[str, np.ndarray], limit: int, titl
     panel.text(limit * 1.012, -0.6, "unsolved", color="#c0392b", fontsize=8, va="bottom")
     panel.set_yticks(range(len(solved_at)), list(solved_at), fontsize=8)
     panel.set_ylim(len(solved_at) - 0.4, -0.6)
-    panel.set_xlabel(
-        f"episodes to solve (dot: a seed; bar: mean, an unsolved seed counted as {limit})"
-    )
+    panel.set_xlabel(f"{axis} (dot: a seed; bar: mean, an unsolved seed counted as {limit})")
     panel.set_title(title, loc="left", fontsize=10, pad=14)
+    panel.spines[["top", "right"]].set_visible(False)
+    _save(figure, path)
+
+
+def solved_share(path: Path, first_solved: Mapping[str, np.ndarray]) -> None:
+    """The share of the runs whose solving window has begun, against real episodes.
+
+    Args:
+        path: the PNG.
+        first_solved: by arm, number of the window's first episode ``[seeds]``, infinity where
+            unsolved.
+    """
+    figure, panel = plt.subplots(figsize=(6.4, 3.6))
+    latest = max([values[np.isfinite(values)].max(initial=2) for values in first_solved.values()])
+    for name, values in first_solved.items():
+        numbers = np.sort(values)
+        share = np.arange(1, len(numbers) + 1) / len(numbers)
+        known = np.isfinite(numbers)
+        panel.step(
+            np.concatenate([[1], numbers[known], [latest * 1.05]]),
+            np.concatenate([[0], share[known], [known.mean()]]),
+            where="post",
+            color=colour(name),
+            label=f"{name} ({len(numbers)} runs)",
+        )
+    panel.set_xscale("log")
+    panel.set_xlabel("real episodes before the solving window (logarithmic)")
+    panel.set_ylabel("share of the runs")
+    panel.set_ylim(-0.02, 1.02)
+    panel.legend(fontsize=8, frameon=False)
     panel.spines[["top", "right"]].set_visible(False)
     _save(figure, path)
 

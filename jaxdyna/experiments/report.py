@@ -31,6 +31,8 @@ Curves = Mapping[str, np.ndarray]
 Results = dict[str, Any]
 
 FIRST_DREAMS = 100
+HELD_EPISODES = 50
+QUANTILES = (5, 25, 50, 75, 95, 99)
 PACKAGES = ("jax", "jaxlib", "flax", "optax", "numpy", "gymnasium")
 
 
@@ -45,6 +47,7 @@ def describe_arm(curves: Curves, rule: SolveRule) -> Results:
     first = solved_at - rule.window + 1
     solved = np.isfinite(solved_at)
     last = curves["real_return"][:, -rule.window :].mean(-1)
+    held = curves["real_return"][:, -HELD_EPISODES:].mean(-1)
     steps = steps_before(curves["real_length"], first)
     # An unsolved run solves with its next episode at the earliest.
     episodes = curves["real_return"].shape[1]
@@ -55,6 +58,7 @@ def describe_arm(curves: Curves, rule: SolveRule) -> Results:
         "first_solved": summarise(first, at_least=first_possible),
         "real_steps_to_solve": summarise(steps, at_least=steps_at_least),
         "final_return": summarise(last, solved),
+        "solved_and_held": int((solved & (held >= rule.threshold)).sum()),
         "episodes_played": int(episodes),
         "solve_rule": str(rule),
     }
@@ -211,12 +215,28 @@ def arm_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str], 
     return header, rows
 
 
+def quantile_table(results: Results) -> tuple[list[str], list[list[str]]]:
+    """Quantiles of ``first_solved`` over the runs of each arm."""
+    header = ["arm", *(f"{percent}%" for percent in QUANTILES), "latest", "solved", "held"]
+    rows = []
+    for name, arm in results["arms"].items():
+        values = arm["first_solved"]["per_seed"]
+        first = np.array([np.inf if value is None else value for value in values])
+        marks = np.percentile(first, [*QUANTILES, 100], method="inverted_cdf")
+        shown = ["unsolved" if np.isinf(mark) else f"{mark:.0f}" for mark in marks]
+        counts = (arm["first_solved"]["solved"], arm["solved_and_held"])
+        rows.append([name, *shown, *(f"{count}/{len(first)}" for count in counts)])
+    return header, rows
+
+
 def short_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
     """The same for the terminal: what fits 80 columns."""
     _, rows = arm_table(results, paper)
-    header = ["arm", "paper", "episodes to solve", "median", "solved", "last return"]
+    header = ["arm", "paper", "episodes to solve", "median", "first", "solved", "last 100"]
+    first = [number(arm["first_solved"], "median") for arm in results["arms"].values()]
     return header, [
-        [row[0], row[1], f"{row[2]} ({row[3]})", row[4], row[6], row[9]] for row in rows
+        [row[0], row[1], f"{row[2]} ({row[3]})", row[4], begun, row[6], row[9]]
+        for row, begun in zip(rows, first, strict=True)
     ]
 
 

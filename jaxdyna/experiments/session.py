@@ -176,20 +176,19 @@ class Session:
         """
         begun = _read_json(self.out / "checkpoints" / "settings.json")
         results = _read_json(self.out / "results.json")
-        finished = results and {
-            name: value for name, value in results["config"].items() if name not in NOT_SETTINGS
-        }
+        finished = results and _settings(results["config"])
         before, now = begun or finished, self._settings()
         if before is None:
             raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
-        changed = sorted(name for name in now if now[name] != before.get(name))
+        newer = _settings(plain(type(self.options)()))  # a setting that did not exist then
+        changed = sorted(name for name in now if now[name] != (newer | before)[name])
         if changed:
             flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
             raise ValueError(
                 f"the run in {self.out} had other settings for {flags}: "
                 "resume with the same, or choose another --out"
             )
-        if finished != now:
+        if finished is None or newer | finished != now:
             return {}
         timing = results["timing"]
         self._earlier_s = max(timing["total_s"], timing["compile_s"] + timing["run_s"])
@@ -214,8 +213,7 @@ class Session:
                 file.rename(self.out / "previous" / file.name)
 
     def _settings(self) -> Results:
-        config = plain(self.options)
-        return {name: value for name, value in config.items() if name not in NOT_SETTINGS}
+        return _settings(plain(self.options))
 
     def _write(self, curves: Mapping[str, Curves], figures: bool) -> None:
         write_curves(self.out / "curves.npz", curves)
@@ -248,6 +246,10 @@ class Session:
             "arms": arms,
             "ratio_to_model_free": compare(arms, "model_free"),
         }
+
+
+def _settings(config: Results) -> Results:
+    return {name: value for name, value in config.items() if name not in NOT_SETTINGS}
 
 
 def _read_json(path: Path) -> Any:
