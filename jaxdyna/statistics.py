@@ -180,6 +180,27 @@ def r_squared(squared_error: np.ndarray, total: np.ndarray, square: np.ndarray, 
         return 1 - squared_error / (square - np.square(total) / np.asarray(count)[..., None])
 
 
+def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float, float]:
+    """Spearman's rank correlation of two quantities' means over settings.
+
+    Args:
+        left: ``[settings, seeds]``, finite.
+        right: the same shape, from the same seeds.
+
+    Returns:
+        The correlation and the ends of its 95% bootstrap interval over seeds.
+    """
+
+    def correlate(rows):
+        ranks = [values[:, rows].mean(1).argsort().argsort() for values in (left, right)]
+        return np.corrcoef(*ranks)[0, 1]
+
+    seeds = left.shape[1]
+    draws = np.random.default_rng(0).integers(0, seeds, (2000, seeds))
+    low, high = np.percentile([correlate(rows) for rows in draws], [2.5, 97.5])
+    return float(correlate(np.arange(seeds))), float(low), float(high)
+
+
 def _row_means(values: np.ndarray) -> np.ndarray:
     return values.mean(-1)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from parts import assert_same
 
-from jaxdyna.experiments import cartpole, cartpole_readings, run
+from jaxdyna.experiments import cartpole, cartpole_accuracy, cartpole_readings, run
 from jaxdyna.experiments.run import piece_length
 
 TINY = [
@@ -198,6 +198,17 @@ def test_readings_report(tmp_path):
     assert cartpole_readings.READINGS.main([*arguments, *names]) == 0
     text = (tmp_path / "report.md").read_text()
     assert all(f"| {name} |" in text for name in names) and (tmp_path / "variants.png").exists()
+
+
+def test_accuracy_report(tmp_path):
+    names = ["dyna (paper preset)", "hidden layers of 4", "2 model updates an episode"]
+    arguments = ["--seeds", "2", "--episodes", "103", "--out", str(tmp_path), "--arms", *names]
+    assert cartpole_accuracy.ACCURACY.main(arguments) == 0
+    text = (tmp_path / "report.md").read_text()
+    assert "Rank correlation" in text and (tmp_path / "accuracy.png").exists()
+    arms = json.loads((tmp_path / "results.json").read_text())["arms"]
+    errors = {name: np.mean(arms[name]["model_error"]) for name in names}
+    assert 0 < errors["dyna (paper preset)"] < errors["hidden layers of 4"]
 
 
 def test_help_names_the_contracts_options(capsys):

@@ -11,6 +11,7 @@ from jaxdyna.statistics import (
     episodes_to_solve,
     interquartile_mean,
     r_squared,
+    rank_correlation,
     ratio_of_means,
     steps_before,
     summarise,
@@ -80,6 +81,15 @@ def test_ratio_to_an_arm_with_unsolved_seeds_is_an_upper_bound():
     assert ratio_of_means(ours, unsolved)["ratio"] is None
     ratio = ratio_of_means(ours, unsolved, denominator_at_least=6.0)
     assert ratio["ratio"] == 0.4 and ratio["bound"]
+
+
+def test_rank_correlation():
+    error = np.array([[1.0, 1.2], [2.0, 2.2], [3.0, 3.1]])
+    assert rank_correlation(error, 10 * error) == (1.0, 1.0, 1.0)
+    assert rank_correlation(error, -error)[0] == -1.0
+    noise = np.array([[1.0, 9.0], [5.0, 5.0], [6.0, 2.0]])
+    rank, low, high = rank_correlation(error, noise)
+    assert -1 <= low <= rank <= high <= 1 and low < high
 
 
 def test_r_squared_from_sums():

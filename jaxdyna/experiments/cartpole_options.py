@@ -68,6 +68,8 @@ class Options:
     """Overwrite the dreamed pole angle with the cart's velocity, as the authors' code does."""
     forget_every: int = 0
     """Empty the replay every so many real episodes, as the authors' code does; 0 never."""
+    replay_capacity: int | None = None
+    """Newest real transitions that the model may learn from; None for all."""
     block: int | None = None
     """Runs vmapped together on a CPU, blocks one after the other; None for all at once."""
     agent: ReinforceConfig = field(default_factory=lambda: ReinforceConfig(advantage=per_step))
@@ -138,6 +140,7 @@ def dyna_config(options: Options) -> DynaConfig:
         dream_updates=options.dream_updates,
         dream_episodes=options.dream_episodes,
         forget_every=options.forget_every,
+        replay_capacity=options.replay_capacity,
         rest_when_safe=options.rest_when_safe,
     )
 

@@ -183,6 +183,44 @@ def solved_share(path: Path, first_solved: Mapping[str, np.ndarray]) -> None:
     _save(figure, path)
 
 
+def error_scatter(
+    path: Path,
+    error: Mapping[str, np.ndarray],
+    solved_at: Mapping[str, np.ndarray],
+    lines: Mapping[str, float],
+    limit: int,
+) -> None:
+    """Episodes to solve against a model's error: a number a setting, with bootstrap intervals.
+
+    Args:
+        path: the PNG.
+        error: by setting, ``[seeds]``.
+        solved_at: by setting, ``[seeds]``, unsolved at ``limit``.
+        lines: levels to draw across, by name.
+        limit: what an unsolved run counts as.
+    """
+    figure, panel = plt.subplots(figsize=(9.5, 4.8))
+    for number, (name, values) in enumerate(error.items(), start=1):
+        x, y = values.mean(), solved_at[name].mean()
+        ends = [mean_interval(part[:, None])[:, 0] for part in (values, solved_at[name])]
+        panel.plot(ends[0], [y, y], color="#0f7b6c", alpha=0.5, linewidth=1)
+        panel.plot([x, x], ends[1], color="#0f7b6c", alpha=0.5, linewidth=1)
+        panel.plot(x, y, "o", color="#0f7b6c", markersize=5, label=f"{number}  {name}")
+        panel.annotate(str(number), (x, y), (4, 4), textcoords="offset points", fontsize=8)
+    for name, level in lines.items():
+        panel.axhline(level, color="#c0392b", linewidth=1, linestyle="--")
+        panel.text(0.005, level, name, color="#c0392b", fontsize=7, va="bottom",
+                   transform=panel.get_yaxis_transform())  # fmt: skip
+    panel.set_xscale("log")
+    panel.set_xlabel("unexplained share of a step's change (logarithmic)")
+    panel.set_ylabel(f"episodes to solve (unsolved counted as {limit})")
+    handles, labels = panel.get_legend_handles_labels()
+    panel.legend(handles, labels, fontsize=7, frameon=False, handlelength=0, markerscale=0,
+                 loc="center left", bbox_to_anchor=(1.0, 0.5))  # fmt: skip
+    panel.spines[["top", "right"]].set_visible(False)
+    _save(figure, path)
+
+
 def colour(name: str) -> str:
     """The colour of an arm, wherever it appears."""
     return COLOURS.get(name, COLOURS["dyna"])

@@ -59,6 +59,7 @@ class Variants:
         real_first: N, where dreams begin.
         column: which of the Contract's solve figures the table shows.
         block: see `jaxdyna.sweep.sweep`.
+        report: made of the experiment and its options.
     """
 
     experiment: str
@@ -69,6 +70,7 @@ class Variants:
     real_first: int
     column: str = "episodes_to_solve"
     block: int | None = None
+    report: Callable[[Variants, VariantOptions], VariantsReport] | None = None
 
     @property
     def prog(self) -> str:
@@ -93,7 +95,7 @@ class Variants:
             out=options.out or Path("runs") / self.experiment,
             rule=self.rule,
             keys=jax.random.split(jax.random.key(options.seed), options.seeds),
-            report=VariantsReport(self, options),
+            report=(self.report or VariantsReport)(self, options),
             block=self.block,
         )
         return session.run({name: arms[name] for name in options.arms or arms})
@@ -116,19 +118,23 @@ class VariantsReport:
         """Nothing beyond the curves."""
         return {}
 
+    def solved_at(self, curves: Curves) -> np.ndarray:
+        """The table's solve figure of each seed, infinity where unsolved."""
+        ends = episodes_to_solve(curves["real_return"], self.variants.rule)
+        return (
+            ends
+            if self.variants.column == "episodes_to_solve"
+            else ends + self.limit - (self.options.episodes + 1)
+        )
+
     def describe(self, curves: Curves) -> Results:
         """What the first dreams were like."""
         return {"first_dreams": report.first_dreams(curves, self.variants.real_first)}
 
     def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
         """``variants.png``."""
-        rule, column = self.variants.rule, self.variants.column
-        offset = 0 if column == "episodes_to_solve" else rule.window - 1
-        solved_at = {
-            name: episodes_to_solve(values["real_return"], rule) - offset
-            for name, values in curves.items()
-        }
-        axis = column.replace("_", " ")
+        solved_at = {name: self.solved_at(values) for name, values in curves.items()}
+        axis = self.variants.column.replace("_", " ")
         plots.solve_bars(out / "variants.png", solved_at, self.limit - 1, self.variants.title, axis)
 
     def markdown(self, results: Results) -> str:
