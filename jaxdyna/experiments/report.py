@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import os
 import platform
 import warnings
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -110,67 +107,6 @@ def environment() -> Results:
             "cpu_cores": os.cpu_count(),
         },
     }
-
-
-def plain(value: Any) -> Any:
-    """Configuration as JSON: dataclasses become objects, functions their names."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {item.name: plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {name: plain(item) for name, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [plain(item) for item in value]
-    if isinstance(value, Path) or (isinstance(value, float) and not np.isfinite(value)):
-        return str(value)
-    if callable(value):
-        return getattr(value, "__name__", type(value).__name__)
-    return value
-
-
-def write_json(path: Path, results: Results) -> None:
-    """Writes strict JSON, whole or not at all; what is not finite becomes null."""
-    text = json.dumps(_finite(results), indent=1, allow_nan=False) + "\n"
-    _replace(path, text.encode())
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _finite(item) for name, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def write_curves(path: Path, arms: Mapping[str, Curves]) -> None:
-    """Writes every array as ``ARM/NAME``, whole or not at all."""
-    flat = {
-        f"{arm}/{name}": values for arm, curves in arms.items() for name, values in curves.items()
-    }
-    temporary = path.with_suffix(".part.npz")
-    np.savez_compressed(temporary, allow_pickle=False, **flat)
-    temporary.replace(path)
-
-
-def read_curves(path: Path) -> dict[str, dict[str, np.ndarray]]:
-    """Reads what `write_curves` wrote; nothing where there is no file."""
-    arms: dict[str, dict[str, np.ndarray]] = {}
-    if path.exists():
-        with np.load(path) as stored:
-            for name in stored.files:
-                arm, _, metric = name.partition("/")
-                arms.setdefault(arm, {})[metric] = stored[name]
-    return arms
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes a text file, whole or not at all."""
-    _replace(path, text.encode())
-
-
-def _replace(path: Path, content: bytes) -> None:
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_bytes(content)
-    temporary.replace(path)
 
 
 def number(summary: Summary, statistic: str = "mean", digits: int = 0) -> str:

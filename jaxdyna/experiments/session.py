@@ -29,13 +29,16 @@ from jaxdyna.experiments.report import (
     compare,
     describe_arm,
     environment,
+)
+from jaxdyna.experiments.run import Arm, ArmRun, Runner
+from jaxdyna.experiments.storage import (
     plain,
     read_curves,
+    slim,
     write_curves,
     write_json,
     write_text,
 )
-from jaxdyna.experiments.run import Arm, ArmRun, Runner
 from jaxdyna.statistics import SolveRule
 
 Curves = dict[str, np.ndarray]
@@ -151,7 +154,7 @@ class Session:
                     bar, note=f"{progress.tasks[bar].fields['note']}, judging the model"
                 )
                 key = jax.random.fold_in(jax.random.key(self.options.seed), 1)
-                curves[name] = done.metrics | self.report.analyse(arm, done, key)
+                curves[name] = slim(done.metrics | self.report.analyse(arm, done, key))
                 self._timing[name] = {"compile_s": done.compile_s, "run_s": done.run_s}
                 self._write(curves, figures=False)
                 progress.update(bar, note=progress.tasks[bar].fields["note"].split(",")[0])
@@ -195,7 +198,7 @@ class Session:
         self._timing = timing["arms"]
         if results["command"] != self._command:
             self._command = f"{results['command']} && {self._command} --resume"
-        return read_curves(self.out / "curves.npz")
+        return {name: slim(arm) for name, arm in read_curves(self.out / "curves.npz").items()}
 
     def _as_typed(self) -> str:
         from_start = [argument for argument in self.argv if argument != "--resume"]
