@@ -14,16 +14,9 @@ from typing import Any, Protocol
 import jax
 import numpy as np
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from jaxdyna.experiments import cli
+from jaxdyna.experiments.progress import Bars
 from jaxdyna.experiments.report import (
     Results,
     compare,
@@ -127,11 +120,6 @@ class Session:
 
     def _play(self, arms: Mapping[str, Arm], curves: dict[str, Curves]) -> None:
         """Plays the arms that are not yet in ``curves`` and puts them there."""
-        columns = (
-            TextColumn("{task.description}"), BarColumn(bar_width=20), MofNCompleteColumn(),
-            TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}"),
-        )  # fmt: skip
         runner = Runner(
             self.keys,
             self.rule,
@@ -139,37 +127,19 @@ class Session:
             self.out / "checkpoints",
             self.block,
         )
-        with Progress(*columns, console=self.console, speed_estimate_period=120) as progress:
+        totals = {name: arm.config.num_episodes for name, arm in arms.items()}
+        with Bars(self.console, totals, finished=curves, runs=len(self.keys)) as bars:
             for name, arm in arms.items():
-                total = arm.config.num_episodes
-                bar = progress.add_task(name, total=total, note="waiting", start=False)
-                if name in curves:
-                    progress.update(bar, completed=total, note="finished before")
-            for (name, arm), bar in zip(arms.items(), progress.task_ids, strict=True):
                 if name in curves:
                     continue
-                runner.report = self._reporter(progress, bar)
+                runner.report = bars.reporter(name)
                 done = runner.run(name, arm, resume=self.options.resume)
-                progress.update(
-                    bar, note=f"{progress.tasks[bar].fields['note']}, judging the model"
-                )
+                bars.add_note(name, "judging the model")
                 key = jax.random.fold_in(jax.random.key(self.options.seed), 1)
                 curves[name] = slim(done.metrics | self.report.analyse(arm, done, key))
                 self._timing[name] = {"compile_s": done.compile_s, "run_s": done.run_s}
                 self._write(curves, figures=False)
-                progress.update(bar, note=progress.tasks[bar].fields["note"].split(",")[0])
-
-    def _reporter(self, progress: Progress, bar: Any):
-        def report(stage: str, done: int, total: int, solved: int) -> None:
-            if stage == "running" and not progress.tasks[bar].started:
-                progress.start_task(bar)
-            note = "compiling" if stage == "compiling" else f"{solved}/{len(self.keys)} solved"
-            progress.update(bar, completed=done, note=note)
-            if stage == "done":
-                progress.update(bar, total=done)
-                progress.stop_task(bar)
-
-        return report
+                bars.add_note(name)
 
     def _resume(self) -> dict[str, Curves]:
         """Arms that an earlier run with the same settings finished.
