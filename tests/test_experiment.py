@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from parts import assert_same
 
-from jaxdyna.experiments import cartpole, cartpole_accuracy, cartpole_readings, run
+from jaxdyna.experiments import cartpole, cartpole_accuracy, cartpole_data, cartpole_readings, run
 from jaxdyna.experiments.run import piece_length
 from jaxdyna.experiments.storage import read_curves
 
@@ -221,6 +221,18 @@ def test_many_seeds_keep_what_the_contract_asks_for(tmp_path):
     for name in ("real_return", "real_length", "fake_return", "model_error"):
         assert curves[name].shape == (51, 5)
     assert (curves["model_error"] > 0).all() and "state_error" not in curves
+
+
+def test_data_study(tmp_path):
+    counts = {"seeds": 2, "episodes": 10, "transitions": 100, "updates": 20, "judged-episodes": 2}
+    arguments = [text for name, count in counts.items() for text in (f"--{name}", str(count))]
+    assert cartpole_data.main([*arguments, "--out", str(tmp_path)]) == 0
+    results = json.loads((tmp_path / "results.json").read_text())
+    for row in results["change_r2"].values():
+        assert all(-10 < cell["mean"] < 1 and len(cell["per_seed"]) == 2 for cell in row.values())
+    assert (tmp_path / "horizon.png").exists() and "| random policy |" in (
+        tmp_path / "report.md"
+    ).read_text()
 
 
 def test_help_names_the_contracts_options(capsys):

@@ -62,7 +62,8 @@ def check_common(options: Any) -> None:
             raise ValueError(f"--{name} is {getattr(options, name)}: it must be at least 1")
     if not 0 <= options.seed < 2**32:
         raise ValueError(f"--seed is {options.seed}: it must lie between 0 and 2^32 - 1")
-    if options.stop_after_solved is not None and options.stop_after_solved < 0:
+    stop = getattr(options, "stop_after_solved", None)
+    if stop is not None and stop < 0:
         raise ValueError("--stop-after-solved is negative: give 0 or more, or None")
 
 

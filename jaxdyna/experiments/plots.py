@@ -221,6 +221,27 @@ def error_scatter(
     _save(figure, path)
 
 
+def error_growth(path: Path, errors: Mapping[str, np.ndarray]) -> None:
+    """Open-loop error by step, with its 95% interval over seeds.
+
+    Args:
+        path: the PNG.
+        errors: by what the model was trained on, ``[seeds, steps]``.
+    """
+    figure, panel = plt.subplots(figsize=(6.4, 3.8))
+    for (name, values), shade in zip(errors.items(), COLOURS.values(), strict=False):
+        steps = np.arange(1, values.shape[1] + 1)
+        low, high = mean_interval(values)
+        panel.fill_between(steps, low, high, color=shade, alpha=0.2, linewidth=0)
+        panel.plot(steps, values.mean(0), color=shade, label=name)
+    panel.set_yscale("log")
+    panel.set_xlabel("dreamed steps")
+    panel.set_ylabel("error (standard deviations)")
+    panel.legend(title="trained on", fontsize=8, title_fontsize=8, frameon=False)
+    panel.spines[["top", "right"]].set_visible(False)
+    _save(figure, path)
+
+
 def colour(name: str) -> str:
     """The colour of an arm, wherever it appears."""
     return COLOURS.get(name, COLOURS["dyna"])
