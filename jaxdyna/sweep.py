@@ -25,9 +25,9 @@ def sweep(
         keys: random keys ``[seeds]``, shared by all settings.
         hparams: a pytree; leaves with an axis ``[settings]`` are swept together, scalars are
             shared.
-        block: seeds vmapped together, blocks one after the other; None for all at once. A CPU
-            gains nothing from more than some ten, and work that no seed of a block needs is
-            skipped.
+        block: seeds vmapped together, blocks one after the other; None for all at once. Work that
+            no seed of a block needs is skipped: on a CPU, runs that often rest are the faster the
+            smaller their blocks.
 
     Returns:
         What ``train`` returns with leading axes ``[settings, seeds]`` (settings is 1 where

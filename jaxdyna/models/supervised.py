@@ -42,7 +42,7 @@ class SupervisedConfig:
             smaller beside the cross-entropy of the end, and a summed loss stable at larger steps.
         one_hot: encode the action one-hot instead of as one number.
         ensemble: number of members, each with its own initial weights and its own resampling of
-            every batch; a prediction is that of a member drawn at random (PETS' TS1).
+            every batch; a prediction is their mean.
         weight_variance: of the initial weights, see `jaxdyna.networks.MLP`.
         optimizer: from a learning rate to an optax transformation.
     """
@@ -152,11 +152,10 @@ def supervised(
         )
         target = scaled * spread * params.targets.std + params.targets.mean
         next_obs = obs + target if config.delta else target
-        drawn = jax.random.randint(key, (), 0, config.ensemble) if config.ensemble > 1 else 0
         return Prediction(
-            next_obs=next_obs[drawn],
-            reward=reward[drawn],
-            terminated=jax.nn.sigmoid(logit[drawn]),
+            next_obs=next_obs.mean(0),
+            reward=reward.mean(0),
+            terminated=jax.nn.sigmoid(logit).mean(0),
             disagreement=spread * scaled.std(axis=0).max(),
         )
 
