@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxdyna.experiments import plots
+from jaxdyna.experiments import plots_studies
 from jaxdyna.experiments.cartpole import make_arms
 from jaxdyna.experiments.cartpole_options import PAPER
 from jaxdyna.experiments.report import Results
@@ -70,7 +70,7 @@ class AccuracyReport(VariantsReport):
             for name in ("true environment as the model", "model-free")
             if name in curves
         }
-        plots.error_scatter(
+        plots_studies.error_scatter(
             out / "accuracy.png",
             {name: self._errors(values) for name, values in judged.items()},
             {

@@ -21,7 +21,7 @@ from rich.console import Console
 
 from jaxdyna import replay, rollout, sweep
 from jaxdyna.dyna import make_train
-from jaxdyna.experiments import cli, plots, report
+from jaxdyna.experiments import cli, plots_studies, report
 from jaxdyna.experiments.cartpole import make_arms
 from jaxdyna.experiments.cartpole_options import PAPER
 from jaxdyna.experiments.run import Arm
@@ -210,7 +210,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     by_source = {source: errors[:, row] for row, source in enumerate(SOURCES)}
     write_json(options.out / "results.json", results)
     write_curves(options.out / "curves.npz", {"study": {"open_loop": errors, "r2": explained}})
-    plots.error_growth(options.out / "horizon.png", by_source)
+    plots_studies.error_growth(options.out / "horizon.png", by_source)
     write_text(options.out / "report.md", _markdown(results, options))
     for part in ("change_r2", "open_loop_error"):
         report.print_table(console, part, *_table(results[part]))

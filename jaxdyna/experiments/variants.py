@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from rich.console import Console
 
-from jaxdyna.experiments import cli, plots, report
+from jaxdyna.experiments import cli, plots_studies, report
 from jaxdyna.experiments.report import Results, interval, markdown_table, number
 from jaxdyna.experiments.run import Arm, ArmRun
 from jaxdyna.experiments.session import Session
@@ -135,7 +135,9 @@ class VariantsReport:
         """``variants.png``."""
         solved_at = {name: self.solved_at(values) for name, values in curves.items()}
         axis = self.variants.column.replace("_", " ")
-        plots.solve_bars(out / "variants.png", solved_at, self.limit - 1, self.variants.title, axis)
+        plots_studies.solve_bars(
+            out / "variants.png", solved_at, self.limit - 1, self.variants.title, axis
+        )
 
     def markdown(self, results: Results) -> str:
         """The report."""
