@@ -18,7 +18,6 @@ COLOURS = {
     "placebo": "#b5651d",
     "oracle": "#6a4c93",
 }
-SMOOTHING = 20
 
 
 def learning_curves(
@@ -37,11 +36,12 @@ def learning_curves(
         solved_at: by arm, ``[seeds]``, infinity where unsolved.
         real_first: N, where dreaming begins.
     """
+    window = smoothing_window(max(values.shape[1] for values in returns.values()))
     figure, panels = plt.subplots(
         1, len(returns), figsize=(5.2 * len(returns), 4.2), sharex=True, sharey=True, squeeze=False
     )
     for letter, panel, (name, values) in zip("abcdefgh", panels[0], returns.items(), strict=False):
-        draw_seeds(panel, values, colour(name))
+        draw_seeds(panel, values, colour(name), window)
         panel.axhline(
             threshold, color="#c0392b", linewidth=1, linestyle="--", label=f"solved: {threshold:g}"
         )
@@ -59,19 +59,20 @@ def learning_curves(
         panel.set_title(f"({letter}) {name}: {said}", loc="left", fontsize=10)
         panel.set_xlabel("real episodes")
         panel.legend(loc="lower right", fontsize=8, frameon=False)
-    panels[0, 0].set_ylabel(f"return (running mean of {SMOOTHING} episodes)")
+    panels[0, 0].set_ylabel(f"return (running mean of {window} episodes)")
     save(figure, path)
 
 
-def draw_seeds(panel: Axes, values: np.ndarray, colour: str) -> None:
+def draw_seeds(panel: Axes, values: np.ndarray, colour: str, window: int) -> None:
     """The mean over seeds with its 95% interval, every seed faintly behind.
 
     Args:
         panel: where to draw.
         values: ``[seeds, episodes]``.
         colour: of the arm.
+        window: of the running mean, in episodes.
     """
-    smooth = running_mean(values, SMOOTHING)
+    smooth = running_mean(values, window)
     numbers = np.arange(1, values.shape[1] + 1)
     panel.plot(numbers, smooth[:50].T, color=colour, alpha=0.18, linewidth=0.7)
     low, high = mean_interval(smooth)
@@ -151,6 +152,11 @@ def solved_share(path: Path, first_solved: Mapping[str, np.ndarray]) -> None:
     panel.legend(fontsize=8, frameon=False)
     panel.spines[["top", "right"]].set_visible(False)
     save(figure, path)
+
+
+def smoothing_window(episodes: int) -> int:
+    """Episodes in the running mean of a curve: 20 of 1,000, fewer of fewer."""
+    return max(1, min(20, episodes // 50))
 
 
 def colour(name: str) -> str:

@@ -89,7 +89,7 @@ class Runner:
         with deferred_interrupt() as interrupted:
             while not self._over(pieces, total):
                 done = _episodes(pieces)
-                self.report("running", done, total, self._solved(pieces).sum())
+                self.report("running", done, total, int(self._solved(pieces).sum()))
                 began = time.perf_counter()
                 episodes = jnp.arange(done, min(done + piece, total))
                 state, metrics = proceed(state, episodes, arm.hparams)
@@ -101,7 +101,7 @@ class Runner:
                     saved = time.perf_counter()
                 if interrupted:
                     raise KeyboardInterrupt
-        self.report("done", _episodes(pieces), total, self._solved(pieces).sum())
+        self.report("done", _episodes(pieces), total, int(self._solved(pieces).sum()))
         return ArmRun(join(pieces), jax.tree.map(lambda leaf: leaf[0], state), compile_s, run_s)
 
     def _compile(self, arm: Arm, piece: int) -> tuple[Callable, Callable]:
