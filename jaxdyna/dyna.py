@@ -184,7 +184,11 @@ def _remember(dyna, config, state, real, episode, key) -> tuple[DynaState, Metri
 
 def _train_model(dyna, config, state, key_sample, key_update, hparams) -> tuple[Any, Metrics]:
     """Gradient steps on all that is stored; returns the model's new state."""
-    batches = replay.sample(state.replay, key_sample, (config.model_updates, config.model_batch))
+    held, weight = state.replay, None
+    if config.terminal_share is not None:
+        weight = replay.share_weight(held, held.data.terminated, config.terminal_share)
+    shape = (config.model_updates, config.model_batch)
+    batches = replay.sample(held, key_sample, shape, weight)
 
     def update(carry, batch):
         model, key = carry

@@ -1,4 +1,4 @@
-"""A ring buffer over any pytree: the newest ``capacity`` items, sampled uniformly."""
+"""A ring buffer over any pytree: the newest ``capacity`` items."""
 
 from __future__ import annotations
 
@@ -75,16 +75,45 @@ def add(replay: Replay, items: PyTree, mask: jax.Array) -> Replay:
     return Replay(data=data, added=replay.added + mask.sum(dtype=jnp.int32))
 
 
-def sample(replay: Replay, key: Key, shape: tuple[int, ...]) -> PyTree:
-    """Draws items uniformly, with replacement.
+def sample(
+    replay: Replay, key: Key, shape: tuple[int, ...], weight: jax.Array | None = None
+) -> PyTree:
+    """Draws items with replacement.
 
     Args:
         replay: a buffer; an empty one yields its zeros, so check ``size`` or mask what comes.
         key: random key.
         shape: how many, as leading axes.
+        weight: ``[capacity]``, what each item's probability is in proportion to, as `share_weight`
+            makes it; uniform without.
 
     Returns:
         Every leaf ``[*shape, ...]``.
     """
-    index = jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
+    if weight is None:
+        index = jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
+    else:
+        cumulative = jnp.cumsum(weight)
+        height = jax.random.uniform(key, shape) * cumulative[-1]
+        index = jnp.searchsorted(cumulative, height.reshape(-1), side="right").reshape(shape)
+        index = jnp.minimum(index, jnp.maximum(replay.size, 1) - 1)  # where rounding met the top
     return jax.tree.map(lambda leaf: leaf[index], replay.data)
+
+
+def share_weight(replay: Replay, marked: jax.Array, share: jax.Array | float) -> jax.Array:
+    """Weights for `sample` that give the marked items ``share`` of the draws: rare ones are seen
+    often enough to be learned. Where none (or all) of the items held are marked it is uniform.
+
+    Args:
+        replay: the buffer.
+        marked: bool ``[capacity]``.
+        share: between 0 and 1.
+
+    Returns:
+        ``[capacity]``, 0 for what is not held.
+    """
+    held = jnp.arange(replay.capacity) < replay.size
+    marked, other = held & marked, held & ~marked
+    count, rest = marked.sum(), other.sum()
+    share = jnp.where(count == 0, 0.0, jnp.where(rest == 0, 1.0, share))
+    return marked * share / jnp.maximum(count, 1) + other * (1 - share) / jnp.maximum(rest, 1)

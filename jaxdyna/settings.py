@@ -24,6 +24,8 @@ class DynaConfig:
         replay_capacity: transitions kept; None keeps all.
         forget_every: real episodes after which the replay is emptied, as the authors' code does;
             0 never.
+        terminal_share: the share of each model batch that is drawn from transitions that ended an
+            episode, however rare they are; None draws all transitions alike.
         rest_when_safe: for tasks whose end is a failure. Neither train the model nor dream after
             a real episode that was truncated instead of terminated, and stop dreaming after a
             batch of fake episodes of which none terminated: what works is left alone, and costs
@@ -39,6 +41,7 @@ class DynaConfig:
     dream_episodes: int = 2
     replay_capacity: int | None = None
     forget_every: int = 0
+    terminal_share: float | None = None
     rest_when_safe: bool = False
 
     def __post_init__(self) -> None:
@@ -52,6 +55,10 @@ class DynaConfig:
             raise ValueError(
                 f"num_real_first (N) is {self.num_real_first} but there are only "
                 f"{self.num_episodes} episodes: lower N or raise the number of episodes"
+            )
+        if self.terminal_share is not None and not 0 <= self.terminal_share <= 1:
+            raise ValueError(
+                f"terminal_share is {self.terminal_share}: it must lie between 0 and 1, or be None"
             )
         if self.replay_capacity is not None and self.replay_capacity < self.num_steps:
             raise ValueError(

@@ -1,4 +1,4 @@
-"""Seeds x hyper-parameters in one jitted call, whole or in resumable pieces."""
+"""Seeds x hyper-parameters in one jitted call, whole or in resumable pieces, on every device."""
 
 from __future__ import annotations
 
@@ -8,17 +8,24 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
 
 from jaxdyna.types import Key, PyTree
 
 AXES = ("settings", "seeds")
 """Names of the vmapped axes, for `jaxdyna.dyna.make_train` and `make_advance`."""
 
+DEVICES = "devices"
+_BY_SEED = PartitionSpec(None, DEVICES)
+_SHARED = PartitionSpec()
+
 
 def sweep(
     train: Callable[[Key, Any], PyTree], keys: Key, hparams: Any, block: int | None = None
 ) -> PyTree:
-    """Runs ``train(key, hparams)`` for every setting and seed in one jitted call.
+    """Runs ``train(key, hparams)`` for every setting and seed in one jitted call. The seeds are
+    dealt out equally to as many of `jax.devices` as their number can be divided by.
 
     Args:
         train: a pure function; the same function object compiles once per shape.
@@ -41,10 +48,13 @@ def sweep(
 
 @partial(jax.jit, static_argnums=(0, 3, 4))
 def _sweep(train, keys, hparams, settings, block):
-    def setting(hparams):
-        return _over_seeds(lambda key: train(key, hparams), block)(keys)
+    def share(keys, hparams):
+        def setting(hparams):
+            return _over_seeds(lambda key: train(key, hparams), block)(keys)
 
-    return jax.vmap(setting, (_axes(hparams),), axis_size=settings, axis_name=AXES[0])(hparams)
+        return jax.vmap(setting, (_axes(hparams),), axis_size=settings, axis_name=AXES[0])(hparams)
+
+    return _over_devices(share, keys.shape[0], (PartitionSpec(DEVICES), _SHARED))(keys, hparams)
 
 
 def make_pieces(
@@ -68,12 +78,27 @@ def make_pieces(
 
     @partial(jax.jit, donate_argnums=0)
     def proceed(state, episodes, hparams):
-        def setting(state, hparams):
-            return _over_seeds(lambda one: advance(one, episodes, hparams), block)(state)
+        def share(state, episodes, hparams):
+            def setting(state, hparams):
+                return _over_seeds(lambda one: advance(one, episodes, hparams), block)(state)
 
-        return jax.vmap(setting, (0, _axes(hparams)), axis_name=AXES[0])(state, hparams)
+            return jax.vmap(setting, (0, _axes(hparams)), axis_name=AXES[0])(state, hparams)
+
+        seeds = jax.tree.leaves(state)[0].shape[1]
+        spread = _over_devices(share, seeds, (_BY_SEED, _SHARED, _SHARED))
+        return spread(state, episodes, hparams)
 
     return start, proceed
+
+
+def _over_devices(share: Callable[..., PyTree], seeds: int, specs: tuple) -> Callable[..., PyTree]:
+    """``share``, which works on any number of seeds, with its seeds dealt out to the devices."""
+    devices = jax.devices()
+    count = max(n for n in range(1, len(devices) + 1) if seeds % n == 0)
+    if count == 1:
+        return share
+    mesh = Mesh(np.array(devices[:count]), (DEVICES,))
+    return jax.shard_map(share, mesh=mesh, in_specs=specs, out_specs=_BY_SEED, check_vma=False)
 
 
 def _over_seeds(function: Callable[[Any], PyTree], block: int | None) -> Callable[[Any], PyTree]:

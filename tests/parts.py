@@ -34,7 +34,7 @@ DYNA = Dyna(
     Dream(
         LEARNED,
         lambda state, hparams: LearnedParams(
-            state.model.params, state.starts, hparams.termination_threshold, 20
+            state.model.params, state.starts, hparams.termination_threshold, max_steps=20
         ),
     ),
     one_step_sums(MODEL.predict),

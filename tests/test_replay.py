@@ -40,6 +40,28 @@ def test_samples_every_held_item_equally_and_nothing_else():
     np.testing.assert_allclose(counts[1:5], 2000, rtol=0.1)
 
 
+def test_marked_items_get_their_share_of_the_draws():
+    buffer = replay.init(2000, {"x": jnp.int32(0)})
+    buffer = replay.add(buffer, {"x": jnp.arange(1000)}, jnp.ones(1000, bool))
+
+    def draw(marked, share):
+        weight = replay.share_weight(buffer, jnp.asarray(marked), share)
+        np.testing.assert_allclose(weight.sum(), 1, rtol=1e-5)
+        return np.asarray(replay.sample(buffer, jax.random.key(0), (50, 200), weight)["x"])
+
+    rare = np.zeros(2000, bool)
+    rare[[3, 700, 1500]] = True  # the last one is not held
+    drawn = draw(rare, 0.25)
+    assert np.isin(drawn, [3, 700]).mean() == pytest.approx(0.25, abs=0.02)
+    assert (drawn == 3).mean() == pytest.approx(0.125, abs=0.015)
+    assert len(np.unique(drawn)) > 990
+    for none_or_all in (np.zeros(2000, bool), np.ones(2000, bool)):
+        counts = np.bincount(draw(none_or_all, 0.25).ravel(), minlength=1000)
+        assert len(counts) == 1000 and counts.max() < 40
+    assert not np.isin(draw(rare, 0.0), [3, 700]).any()
+    assert set(np.unique(draw(rare, 1.0))) == {3, 700}
+
+
 def test_vmapped_buffers_fill_at_their_own_pace():
     buffers = jax.vmap(lambda _: replay.init(4, {"x": jnp.int32(0)}))(jnp.arange(2))
     masks = jnp.array([[True, True, True], [False, True, False]])

@@ -34,6 +34,7 @@ def levers(options: VariantOptions) -> dict[str, Arm]:
         "one network, no disagreement": model(ensemble=1),
         "3 networks, disagreement ignored": hparams(disagreement_threshold=math.inf),
         "fake episode ends at p > 0.5": hparams(termination_threshold=0.5),
+        "ends drawn as rarely as they come": replace(base, terminal_share=None),
         "targets are next states": model(delta=False),
         "20 model updates": replace(base, model_updates=20),
         "5 updates on dreams": replace(base, dream_updates=5),

@@ -70,6 +70,8 @@ class Options:
     """Empty the replay every so many real episodes, as the authors' code does; 0 never."""
     replay_capacity: int | None = None
     """Newest real transitions that the model may learn from; None for all."""
+    terminal_share: float | None = None
+    """Share of each model batch drawn from ends of episodes, however rare; None: as they come."""
     block: int | None = None
     """Runs vmapped together on a CPU, blocks one after the other; None for all at once."""
     agent: ReinforceConfig = field(default_factory=lambda: ReinforceConfig(advantage=per_step))
@@ -141,6 +143,7 @@ def dyna_config(options: Options) -> DynaConfig:
         dream_episodes=options.dream_episodes,
         forget_every=options.forget_every,
         replay_capacity=options.replay_capacity,
+        terminal_share=options.terminal_share,
         rest_when_safe=options.rest_when_safe,
     )
 
@@ -157,6 +160,7 @@ LEAN = replace(
     dream_updates=20,
     dream_episodes=16,
     rest_when_safe=True,
+    terminal_share=0.25,
     block=1,
     model=SupervisedConfig(
         hidden=(64, 64),

@@ -134,37 +134,7 @@ class CartPoleReport:
 
 def reading(options: Options) -> list[str]:
     """The settings in words."""
-    model, agent, hparams = options.model, options.agent, options.hparams
-    members = f"{model.ensemble} networks" if model.ensemble > 1 else "one network"
-    loss = "a sum over the batch" if model.sum_loss else "a mean of the batch"
-    target = "the change of the state" if model.delta else "the next state"
-    scale = f"scaled by {model.spread:g} standard deviation(s)" if model.normalise else "not scaled"
-    start = {
-        "observed": "where real episodes did",
-        "uniform": "uniformly in ±0.1",
-        "branched": "from any real state",
-    }[options.dream_start]
-    unsure = (
-        f", or the members disagree by more than {hparams.disagreement_threshold:g} standard "
-        "deviations"
-        if np.isfinite(hparams.disagreement_threshold)
-        else ""
-    )
-    kept = f"the last {options.forget_every} episodes" if options.forget_every else "all episodes"
-    lines = [
-        f"Policy: one action's log odds each from hidden layers of {agent.hidden}, "
-        f"{agent.optimizer.__name__} at {hparams.agent.learning_rate:g}, discount "
-        f"{hparams.agent.discount:g}, returns standardised `{agent.advantage.__name__}`.",
-        f"Model: {members} with hidden layers of {model.hidden}, {model.optimizer.__name__} at "
-        f"{hparams.model.learning_rate:g}; Eq. 1 is {loss}; it predicts {target}, {scale}. After "
-        f"every real episode {options.model_updates} updates on batches of {options.model_batch} "
-        f"out of {kept}.",
-        f"Dreams: from real episode {options.real_first} on, {options.dream_updates} policy "
-        f"updates on {options.dream_episodes} fake episodes each after every real one. A fake "
-        f"episode starts {start} and ends at p(end) > {hparams.termination_threshold:g}{unsure}, "
-        f"or after {options.dream_steps or options.num_steps} steps. From then on a real "
-        f"transition's weight is {hparams.real_weight:g} and a fake one's {hparams.fake_weight:g}.",
-    ]
+    lines = [_policy_line(options), _model_line(options), _dreams_line(options)]
     if options.rest_when_safe:
         lines.append(
             "Rest: no model updates and no dreams after a real episode that did not fall, no "
@@ -180,6 +150,57 @@ def reading(options: Options) -> list[str]:
     )
     text = "\n".join(f"- {line}" for line in lines)
     return ["## Settings", text, *([note] if options.preset == "paper" else [])]
+
+
+def _policy_line(options: Options) -> str:
+    agent, hparams = options.agent, options.hparams.agent
+    return (
+        f"Policy: one action's log odds each from hidden layers of {agent.hidden}, "
+        f"{agent.optimizer.__name__} at {hparams.learning_rate:g}, discount "
+        f"{hparams.discount:g}, returns standardised `{agent.advantage.__name__}`."
+    )
+
+
+def _model_line(options: Options) -> str:
+    model = options.model
+    members = f"{model.ensemble} networks" if model.ensemble > 1 else "one network"
+    loss = "a sum over the batch" if model.sum_loss else "a mean of the batch"
+    target = "the change of the state" if model.delta else "the next state"
+    scale = f"scaled by {model.spread:g} standard deviation(s)" if model.normalise else "not scaled"
+    kept = f"the last {options.forget_every} episodes" if options.forget_every else "all episodes"
+    share = (
+        f", a share of {options.terminal_share:g} from transitions that ended an episode"
+        if options.terminal_share is not None
+        else ""
+    )
+    return (
+        f"Model: {members} with hidden layers of {model.hidden}, {model.optimizer.__name__} at "
+        f"{options.hparams.model.learning_rate:g}; Eq. 1 is {loss}; it predicts {target}, {scale}. "
+        f"After every real episode {options.model_updates} updates on batches of "
+        f"{options.model_batch} out of {kept}{share}."
+    )
+
+
+def _dreams_line(options: Options) -> str:
+    hparams = options.hparams
+    start = {
+        "observed": "where real episodes did",
+        "uniform": "uniformly in ±0.1",
+        "branched": "from any real state",
+    }[options.dream_start]
+    unsure = (
+        f", or the members disagree by more than {hparams.disagreement_threshold:g} standard "
+        "deviations"
+        if np.isfinite(hparams.disagreement_threshold)
+        else ""
+    )
+    return (
+        f"Dreams: from real episode {options.real_first} on, {options.dream_updates} policy "
+        f"updates on {options.dream_episodes} fake episodes each after every real one. A fake "
+        f"episode starts {start} and ends at p(end) > {hparams.termination_threshold:g}{unsure}, "
+        f"or after {options.dream_steps or options.num_steps} steps. From then on a real "
+        f"transition's weight is {hparams.real_weight:g} and a fake one's {hparams.fake_weight:g}."
+    )
 
 
 def _dreams(name: str, dreams: Results) -> str:

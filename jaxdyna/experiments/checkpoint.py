@@ -45,7 +45,7 @@ class Checkpoints:
         """Reads it back.
 
         Args:
-            like: a state of the same structure and shapes.
+            like: a state of the same structure and shapes, on the devices it is wanted on.
 
         Returns:
             The state, the metrics so far as a list of one piece, and the seconds run so far.
@@ -55,7 +55,9 @@ class Checkpoints:
         saved = [leaf for _, leaf in sorted(items["state"].items())]
         examples, structure = jax.tree.flatten(like)
         leaves = [
-            jax.random.wrap_key_data(leaf) if _is_key(example) else leaf
+            jax.device_put(
+                jax.random.wrap_key_data(leaf) if _is_key(example) else leaf, example.sharding
+            )
             for leaf, example in zip(saved, examples, strict=True)
         ]
         metrics = {name: np.asarray(values) for name, values in items["metrics"].items()}

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
+import jax
 import tyro
 
 Options = TypeVar("Options")
@@ -28,6 +29,7 @@ def parse(presets: dict[str, Options], argv: Sequence[str] | None, prog: str) ->
     Raises:
         SystemExit: with code 2 and one line on bad input, with 0 after ``--help``.
     """
+    use_every_core()
     argv = list(sys.argv[1:] if argv is None else argv)
     default = presets.get(_preset_name(argv), next(iter(presets.values())))
     kind: Any = type(default)
@@ -43,6 +45,15 @@ def parse(presets: dict[str, Options], argv: Sequence[str] | None, prog: str) ->
         fail(_one_line(complaint.getvalue()), prog)
     except (ValueError, TypeError) as error:
         fail(str(error), prog)
+
+
+def use_every_core() -> None:
+    """Makes each CPU core a device of its own, among which `jaxdyna.sweep` deals out the seeds.
+    Without effect once JAX is in use, and on a machine with an accelerator.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    with contextlib.suppress(RuntimeError):
+        jax.config.update("jax_num_cpu_devices", cores or 1)
 
 
 def fail(message: str, prog: str) -> NoReturn:

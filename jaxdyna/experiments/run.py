@@ -67,7 +67,7 @@ class Runner:
     directory: Path | None = None
     block: int | None = None
     report: Callable[[str, int, int, int], None] = lambda *_: None
-    programs: dict[Any, tuple[Callable, Callable]] = field(default_factory=dict)
+    programs: dict[Any, tuple[Any, Any]] = field(default_factory=dict)
 
     def run(self, name: str, arm: Arm, resume: bool = False) -> ArmRun:
         """Plays the arm to its end, from its last checkpoint where ``resume`` says so.
@@ -79,9 +79,8 @@ class Runner:
         checkpoints = Checkpoints(self.directory / name) if self.directory else None
         self.report("compiling", 0, total, 0)
         began = time.perf_counter()
-        start, proceed = self._compile(arm, piece)
+        state, proceed = self._compile(arm, piece)
         compile_s, run_s = time.perf_counter() - began, 0.0
-        state = start(jax.random.clone(self.keys), arm.hparams)
         pieces: list[dict[str, np.ndarray]] = []
         if resume and checkpoints and checkpoints.exists():
             state, pieces, run_s = checkpoints.load(state)
@@ -104,25 +103,25 @@ class Runner:
         self.report("done", _episodes(pieces), total, int(self._solved(pieces).sum()))
         return ArmRun(join(pieces), jax.tree.map(lambda leaf: leaf[0], state), compile_s, run_s)
 
-    def _compile(self, arm: Arm, piece: int) -> tuple[Callable, Callable]:
+    def _compile(self, arm: Arm, piece: int) -> tuple[DynaState, Callable]:
+        """The runs before their first episode, and what plays a piece of them."""
         known = (arm.dyna, arm.config)
-        if known not in self.programs:
+        compiled = known in self.programs
+        if not compiled:
             init = make_init(arm.dyna, arm.config)
             advance = make_advance(arm.dyna, arm.config, AXES)
             block = self.block if jax.default_backend() == "cpu" else None
-            start, proceed = make_pieces(init, advance, block)
-            state = jax.eval_shape(start, jax.random.clone(self.keys), arm.hparams)
-            whole = (
-                jax.jit(proceed, donate_argnums=0)
-                .lower(state, jnp.arange(piece), arm.hparams)
-                .compile()
-            )
+            self.programs[known] = make_pieces(init, advance, block)
+        start, proceed = self.programs[known]
+        state = start(jax.random.clone(self.keys), arm.hparams)
+        if not compiled:
+            whole = proceed.lower(state, jnp.arange(piece), arm.hparams).compile()
 
             def proceed_any(state, episodes, hparams):
                 return (whole if len(episodes) == piece else proceed)(state, episodes, hparams)
 
             self.programs[known] = (start, proceed_any)
-        return self.programs[known]
+        return state, self.programs[known][1]
 
     def _solved(self, pieces: list[dict[str, np.ndarray]]) -> np.ndarray:
         if not pieces:
