@@ -10,7 +10,7 @@ from parts import ENV, assert_close, assert_same, random_act
 from jaxdyna import rollout
 from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
 from jaxdyna.agents.reinforce import over_batch, per_step, within_episode
-from jaxdyna.envs import CartPole
+from jaxdyna.envs import CartPole, Maze
 from jaxdyna.models import (
     LearnedEnvironment,
     LearnedParams,
@@ -42,7 +42,11 @@ def learned_world():
     return world, LearnedParams(weights, start=jnp.zeros(4), max_steps=9)
 
 
-WORLDS = {"cartpole": lambda: (CartPole(), CartPole().default_params), "learned": learned_world}
+WORLDS = {
+    "cartpole": lambda: (CartPole(), CartPole().default_params),
+    "maze": lambda: (Maze(), Maze().default_params),
+    "learned": learned_world,
+}
 
 
 @pytest.fixture(scope="module")

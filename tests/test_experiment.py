@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 from parts import assert_same
 
-from jaxdyna.experiments import cartpole, cartpole_accuracy, cartpole_data, cartpole_readings, run
+from jaxdyna.experiments import (
+    cartpole,
+    cartpole_accuracy,
+    cartpole_data,
+    cartpole_readings,
+    cartpole_scaling,
+    run,
+)
 from jaxdyna.experiments.run import piece_length
 from jaxdyna.experiments.storage import read_curves
 
@@ -233,6 +240,18 @@ def test_data_study(tmp_path):
     assert (tmp_path / "horizon.png").exists() and "| random policy |" in (
         tmp_path / "report.md"
     ).read_text()
+
+
+def test_scaling_study(tmp_path):
+    arguments = ["--sizes", "2", "--episodes", "4", "--out", str(tmp_path)]
+    assert cartpole_scaling.main(arguments) == 0
+    rows = json.loads((tmp_path / "results.json").read_text())["sweeps"]
+    assert [row["runs"] for row in rows] == [2]
+    assert all(row["compile_s"] > 0 and row["run_s"] > 0 for row in rows)
+    assert (tmp_path / "seconds.png").exists()
+    with pytest.raises(SystemExit) as stop:
+        cartpole_scaling.main(["--sizes", "0"])
+    assert stop.value.code == 2
 
 
 def test_help_names_the_contracts_options(capsys):

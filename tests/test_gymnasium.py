@@ -15,7 +15,8 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:.*out of date.*:DeprecationWarning"),
     pytest.mark.filterwarnings("ignore:.*Box observation space m.*:UserWarning"),
 ]
-NAMES = {"jaxdyna/CartPole-v0": 200, "jaxdyna/CartPole-v1": 500}
+CARTPOLES = {"jaxdyna/CartPole-v0": 200, "jaxdyna/CartPole-v1": 500}
+NAMES = [name for name in gymnasium.registry if name.startswith("jaxdyna/")]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -23,7 +24,7 @@ def test_gymnasium_accepts_it(name):
     check_env(gymnasium.make(name, render_mode="rgb_array").unwrapped)
 
 
-@pytest.mark.parametrize(("name", "limit"), NAMES.items())
+@pytest.mark.parametrize(("name", "limit"), CARTPOLES.items())
 def test_time_limit_truncates(name, limit):
     env = gymnasium.make(name)
     obs, _ = env.reset(seed=1)
@@ -58,6 +59,26 @@ def test_frames_show_the_cart_move():
     assert before.shape == after.shape and before.dtype == np.uint8
     dark = [np.argwhere(frame.sum(-1) < 200)[:, 1].mean() for frame in (before, after)]
     assert dark[1] > dark[0]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_vector_environments(name):
+    envs = gymnasium.make_vec(name, num_envs=3, render_mode="rgb_array")
+    obs, _ = envs.reset(seed=0)
+    for _ in range(3):
+        assert envs.observation_space.contains(obs)
+        obs, reward, terminated, truncated, _ = envs.step(envs.action_space.sample())
+        assert reward.shape == terminated.shape == truncated.shape == (3,)
+    frames = envs.render()
+    assert len(frames) == 3 and frames[0].dtype == np.uint8 and frames[0].shape[-1] == 3
+
+
+def test_the_maze_truncates_after_200_steps():
+    env = gymnasium.make("jaxdyna/Maze-v0")
+    obs, _ = env.reset(seed=1)
+    assert obs.shape == (16, 16, 3) and obs[15, 0, 2] == obs[0, 15, 1] == 255
+    ends = [env.step(4)[2:4] for _ in range(200)]
+    assert ends == [(False, False)] * 199 + [(False, True)]
 
 
 def test_vector_environment_resets_in_the_step_after_the_end():

@@ -70,6 +70,20 @@ def test_it_compiles_once_for_a_shape():
     assert_close(out[0] / 3, out[1] / 4)
 
 
+def test_seeds_are_dealt_out_to_as_many_devices_as_divide_them():
+    def where(seeds, block=None):
+        keys = jax.random.split(jax.random.key(0), seeds)
+        out = sweep(lambda key, scale: jax.random.uniform(key) * scale, keys, 1.0, block)
+        return out, len(out.sharding.device_set)
+
+    assert where(5)[1] == 1
+    for block in (None, 1, 2):
+        dealt, devices = where(6, block)
+        assert devices == len(jax.devices()) == 2
+        keys = jax.random.split(jax.random.key(0), 6)
+        assert_same(dealt[0], jax.vmap(jax.random.uniform)(keys))
+
+
 def test_nothing_swept_still_has_an_axis_for_settings():
     out = sweep(lambda key, hparams: hparams, jax.random.split(jax.random.key(0), 2), 7.0)
     np.testing.assert_array_equal(out, [[7, 7]])

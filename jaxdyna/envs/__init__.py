@@ -2,8 +2,20 @@
 
 from jaxdyna.envs.cartpole import CartPole, CartPoleParams, CartPoleState
 from jaxdyna.envs.gymnasium import HostEnv, HostVectorEnv, register
+from jaxdyna.envs.maze import Maze, MazeParams, MazeState
 
-__all__ = ["CartPole", "CartPoleParams", "CartPoleState", "HostEnv", "HostVectorEnv", "register"]
+__all__ = [
+    "CartPole",
+    "CartPoleParams",
+    "CartPoleState",
+    "HostEnv",
+    "HostVectorEnv",
+    "Maze",
+    "MazeParams",
+    "MazeState",
+    "register",
+]
 
 register("jaxdyna/CartPole-v0", CartPole(), CartPoleParams(max_steps=200), reward_threshold=195.0)
 register("jaxdyna/CartPole-v1", CartPole(), CartPoleParams(max_steps=500), reward_threshold=475.0)
+register("jaxdyna/Maze-v0", Maze(), MazeParams())

@@ -69,7 +69,7 @@ def check_common(options: Any) -> None:
         ValueError: with what to change.
     """
     for name in ("seeds", "episodes"):
-        if getattr(options, name) < 1:
+        if getattr(options, name, 1) < 1:
             raise ValueError(f"--{name} is {getattr(options, name)}: it must be at least 1")
     if not 0 <= options.seed < 2**32:
         raise ValueError(f"--seed is {options.seed}: it must lie between 0 and 2^32 - 1")

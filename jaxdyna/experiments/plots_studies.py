@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -97,4 +97,32 @@ def error_growth(path: Path, errors: Mapping[str, np.ndarray]) -> None:
     panel.set_ylabel("error (standard deviations)")
     panel.legend(title="trained on", fontsize=8, title_fontsize=8, frameon=False)
     panel.spines[["top", "right"]].set_visible(False)
+    save(figure, path)
+
+
+def sweep_cost(path: Path, rows: Sequence[Mapping[str, float]]) -> None:
+    """Seconds of a whole sweep, and seconds a run, against the number of runs.
+
+    Args:
+        path: the PNG.
+        rows: of each sweep its ``runs``, ``compile_s`` and ``run_s``.
+    """
+    runs, compiling, running = (
+        np.array([row[name] for row in rows]) for name in ("runs", "compile_s", "run_s")
+    )
+    figure, (whole, each) = plt.subplots(1, 2, figsize=(8.5, 3.6), sharex=True)
+    whole.plot(runs, compiling + running, "o-", color="#0f7b6c", label="in all")
+    whole.plot(runs, compiling, "o:", color="#888888", label="compiling")
+    whole.set_ylabel("seconds a sweep")
+    whole.legend(fontsize=8, frameon=False)
+    each.plot(runs, (compiling + running) / runs, "o-", color="#0f7b6c", label="in all")
+    each.plot(runs, running / runs, "o:", color="#4c566a", label="without compiling")
+    each.set_ylabel("seconds a run")
+    each.legend(fontsize=8, frameon=False)
+    for panel in (whole, each):
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        panel.set_xlabel("runs in one jitted call")
+        panel.grid(alpha=0.3, which="major")
+        panel.spines[["top", "right"]].set_visible(False)
     save(figure, path)

@@ -1,0 +1,203 @@
+"""The paper's Maze (§4.2): reach the goal through a crowd of moving obstacles, seen from above."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from jaxdyna.envs.gymnasium import spaces
+from jaxdyna.types import Key
+
+MOVES = np.array([(0, -1), (0, 1), (-1, 0), (1, 0), (0, 0)])
+"""(row, column) by action: left, right, forward (up), backward (down), wait; obstacles' directions
+are the first four, and ``direction ^ 1`` is the way back.
+"""
+WAIT = 4
+
+
+@struct.dataclass
+class MazeParams:
+    """What can be swept.
+
+    Attributes:
+        collision_reward: earned on a step that ends on a cell with any obstacle.
+        goal_reward: earned on a step that ends on the goal, beside it.
+        max_steps: steps until truncation; nothing terminates.
+    """
+
+    collision_reward: float = -5.0
+    goal_reward: float = 1.0
+    max_steps: int = 200
+
+
+@struct.dataclass
+class MazeState:
+    """Cells as (row, column), row 0 on top; int32.
+
+    Attributes:
+        agent: ``[2]``.
+        goal: ``[2]``.
+        obstacles: ``[n, 2]``.
+        directions: ``[n]``, see `MOVES`.
+        time: the number of steps taken.
+    """
+
+    agent: jax.Array
+    goal: jax.Array
+    obstacles: jax.Array
+    directions: jax.Array
+    time: jax.Array
+
+
+@dataclass(frozen=True)
+class Maze:
+    """A square grid with one agent, one goal that stays, and obstacles that patrol.
+
+    In a step the agent moves, then every obstacle moves one cell in its direction; one that would
+    leave the grid turns around instead. Obstacles pass through one another, and changing places
+    with one is no collision.
+
+    The observation is the frame, uint8 ``[size, size, 3]``: red 255 where an obstacle is, green at
+    the goal, blue at the agent; a shared cell lights several channels.
+
+    Attributes:
+        size: cells a side.
+        num_obstacles: how many.
+        start: the agent's first cell; bottom left by default.
+        goal: top right by default.
+    """
+
+    size: int = 16
+    num_obstacles: int = 5
+    start: tuple[int, int] | None = None
+    goal: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        if self.size < 2:
+            raise ValueError(f"size is {self.size}: a maze has at least 2 cells a side")
+        for name, cell in (("start", self.start_cell), ("goal", self.goal_cell)):
+            if len(cell) != 2 or not all(0 <= part < self.size for part in cell):
+                raise ValueError(f"{name} is {cell}: give (row, column) within 0..{self.size - 1}")
+        free = self.size**2 - len({self.start_cell, self.goal_cell})
+        if not 0 <= self.num_obstacles <= free:
+            raise ValueError(f"num_obstacles is {self.num_obstacles}: it must lie in 0..{free}")
+
+    @property
+    def start_cell(self) -> tuple[int, int]:
+        """Where the agent starts."""
+        return self.start if self.start is not None else (self.size - 1, 0)
+
+    @property
+    def goal_cell(self) -> tuple[int, int]:
+        """Where the goal is."""
+        return self.goal if self.goal is not None else (0, self.size - 1)
+
+    @property
+    def default_params(self) -> MazeParams:
+        """The paper's rewards, 200 steps."""
+        return MazeParams()
+
+    @property
+    def num_actions(self) -> int:
+        """Left, right, forward, backward, wait."""
+        return len(MOVES)
+
+    def reset(self, key: Key, params: MazeParams) -> tuple[jax.Array, MazeState]:
+        """Obstacles on distinct random cells, none the agent's or the goal's, each with a random
+        direction: ``obs, state``.
+        """
+        del params
+        key_cells, key_directions = jax.random.split(key)
+        agent, goal = jnp.array(self.start_cell), jnp.array(self.goal_cell)
+        taken = np.zeros((self.size, self.size), bool)
+        taken[self.start_cell] = taken[self.goal_cell] = True
+        ticket = jax.random.uniform(key_cells, (self.size**2,))
+        _, cells = jax.lax.top_k(jnp.where(taken.reshape(-1), -1, ticket), self.num_obstacles)
+        state = MazeState(
+            agent=agent,
+            goal=goal,
+            obstacles=jnp.stack([cells // self.size, cells % self.size], axis=-1),
+            directions=jax.random.randint(key_directions, (self.num_obstacles,), 0, 4),
+            time=jnp.int32(0),
+        )
+        return self.frame(state), state
+
+    def step(
+        self, key: Key, state: MazeState, action: jax.Array, params: MazeParams
+    ) -> tuple[jax.Array, MazeState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+        """One move of all. Deterministic: ``key`` is not used.
+
+        Returns:
+            ``obs, state, reward, terminated, truncated, info``; ``info`` has ``collision`` and
+            ``at_goal``, both bool. ``terminated`` is always False.
+        """
+        del key
+        moves = jnp.array(MOVES)
+        agent = jnp.clip(state.agent + moves[action], 0, self.size - 1)
+        obstacles, directions = self.patrol(state.obstacles, state.directions)
+        collision = (obstacles == agent).all(-1).any()
+        at_goal = (agent == state.goal).all()
+        state = MazeState(agent, state.goal, obstacles, directions, state.time + 1)
+        reward = collision * params.collision_reward + at_goal * params.goal_reward
+        truncated = state.time >= params.max_steps
+        info = {"collision": collision, "at_goal": at_goal}
+        return (
+            self.frame(state),
+            state,
+            reward.astype(jnp.float32),
+            jnp.bool_(False),
+            truncated,
+            info,
+        )
+
+    def patrol(self, obstacles: jax.Array, directions: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The obstacles' next cells ``[n, 2]`` and directions ``[n]``: nothing else moves them."""
+        ahead = obstacles + jnp.array(MOVES)[directions]
+        outside = ((ahead < 0) | (ahead >= self.size)).any(-1)
+        return (
+            jnp.where(outside[:, None], obstacles, ahead),
+            jnp.where(outside, directions ^ 1, directions),
+        )
+
+    def frame(self, state: MazeState) -> jax.Array:
+        """What the state looks like, uint8 ``[size, size, 3]``."""
+        rows, columns = jnp.arange(self.size)[:, None], jnp.arange(self.size)
+
+        def at(cells):
+            return ((cells[:, 0, None, None] == rows) & (cells[:, 1, None, None] == columns)).any(0)
+
+        layers = [at(state.obstacles), at(state.goal[None]), at(state.agent[None])]
+        return jnp.stack(layers, axis=-1).astype(jnp.uint8) * jnp.uint8(255)
+
+    def render(self, state: MazeState, params: MazeParams) -> jax.Array:
+        """The frame for people, about 256 pixels a side: `enlarge` of it."""
+        del params
+        return enlarge(self.frame(state), max(1, 256 // self.size))
+
+    def observation_space(self, params: MazeParams) -> spaces.Box:
+        """Bytes."""
+        del params
+        return spaces.Box(0, 255, (self.size, self.size, 3), np.uint8)
+
+    def action_space(self, params: MazeParams) -> spaces.Discrete:
+        """Left, right, forward, backward, wait."""
+        del params
+        return spaces.Discrete(self.num_actions)
+
+
+def enlarge(frame: jax.Array, scale: int) -> jax.Array:
+    """Every cell as a square of ``scale`` pixels; the channels as they are, on black.
+
+    Args:
+        frame: ``[rows, columns, 3]``.
+        scale: pixels a cell.
+
+    Returns:
+        ``[rows * scale, columns * scale, 3]``.
+    """
+    return frame.repeat(scale, axis=0).repeat(scale, axis=1)
