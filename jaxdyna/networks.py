@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import jax
+import jax.numpy as jnp
 from flax import linen as nn
+
+from jaxdyna.convolution import convolve
 
 
 class MLP(nn.Module):
@@ -30,3 +33,92 @@ class MLP(nn.Module):
         for width in self.features[:-1]:
             x = self.activation(nn.Dense(width, kernel_init=initial)(x))
         return nn.Dense(self.features[-1], kernel_init=initial)(x)
+
+
+class Convolution(nn.Module):
+    """A convolution of stride 1 with a bias, by `jaxdyna.convolution.convolve`.
+
+    Attributes:
+        features: channels of the output.
+        size: cells a side of the kernel.
+        padding: zeros around the picture; ``size - 1`` makes it a transposed convolution.
+    """
+
+    features: int
+    size: int
+    padding: int
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """Maps ``[N, H, W, C]`` to ``[N, H', W', features]``."""
+        shape = (self.size, self.size, x.shape[-1], self.features)
+        kernel = self.param("kernel", nn.initializers.he_normal(), shape)
+        bias = self.param("bias", nn.initializers.zeros, (self.features,))
+        return convolve(x, kernel, self.padding) + bias
+
+
+class LocalDynamics(nn.Module):
+    """What happens to a cell follows from the cells around it: convolutions throughout, the action
+    by a Hadamard product with the first layer's features, and a channel of ones, which next to the
+    padding's zeros tells where the world ends.
+
+    Attributes:
+        channels: of the picture that is predicted.
+        widths: of the 3x3 layers; as many of them as a cell's influence spreads in one step.
+    """
+
+    channels: int
+    widths: tuple[int, ...] = (32, 32)
+
+    @nn.compact
+    def __call__(self, stack: jax.Array, action: jax.Array, train: bool) -> tuple[jax.Array, ...]:
+        """From pictures ``[N, H, W, C]`` in [0, 1] and actions ``[N, actions]`` (one-hot) to the
+        raw next picture ``[N, H, W, channels]`` and the features under it ``[N, H, W, width]``.
+        """
+        del train
+        x = jnp.concatenate([stack, jnp.ones_like(stack[..., :1])], axis=-1)
+        for number, width in enumerate(self.widths):
+            x = Convolution(width, 3, 1)(x)
+            if number == 0:
+                x = x * nn.Dense(width, bias_init=nn.initializers.ones)(action)[:, None, None]
+            x = nn.relu(x)
+        return nn.Dense(self.channels)(x), x
+
+
+class EncoderDecoder(nn.Module):
+    """The paper's Fig. 4 (Oh et al. 2015): convolutions and a dense layer, the Hadamard product
+    with the action's features, a dense layer and transposed convolutions back. BatchNorm after
+    every layer but the first and the last, ReLU.
+
+    Attributes:
+        channels: of the picture that is predicted.
+        widths: of the convolutions; the decoder has them in reverse.
+        kernels: cells a side of their kernels.
+        dense: width of the dense layer, at which the action comes in.
+    """
+
+    channels: int
+    widths: tuple[int, ...] = (32, 32, 32)
+    kernels: tuple[int, ...] = (5, 4, 4)
+    dense: int = 256
+
+    @nn.compact
+    def __call__(self, stack: jax.Array, action: jax.Array, train: bool) -> tuple[jax.Array, ...]:
+        """From pictures ``[N, H, W, C]`` in [0, 1] and actions ``[N, actions]`` (one-hot) to the
+        raw next picture ``[N, H, W, channels]`` and the joint features ``[N, dense]``.
+        """
+
+        def settle(x):
+            return nn.relu(nn.BatchNorm(use_running_average=not train, momentum=0.95)(x))
+
+        x = nn.relu(Convolution(self.widths[0], self.kernels[0], 0)(stack))
+        for width, size in zip(self.widths[1:], self.kernels[1:], strict=True):
+            x = settle(Convolution(width, size, 0)(x))
+        encoded = x.shape[1:]
+        x = settle(nn.Dense(self.dense)(x.reshape(x.shape[0], -1)))
+        joint = x * settle(nn.Dense(self.dense)(action))
+        x = settle(nn.Dense(encoded[0] * encoded[1] * encoded[2])(joint))
+        x = x.reshape(-1, *encoded)
+        for width, size in zip(self.widths[-2::-1], self.kernels[:0:-1], strict=True):
+            x = settle(Convolution(width, size, size - 1)(x))
+        return Convolution(self.channels, self.kernels[0], self.kernels[0] - 1)(x), joint

@@ -33,8 +33,8 @@ class CartPoleReport:
         return PAPER if self.options.env_version == "v0" else {}
 
     def analyse(self, arm: Arm, run: ArmRun, key: jax.Array) -> Curves:
-        """Judges a trained model on episodes that it never saw."""
-        return cartpole_model.judge(arm, run, key)
+        """Judges a trained model on episodes that it never saw; the placebo's is none."""
+        return cartpole_model.judge(arm, run, key) if arm.hparams.model_trains else {}
 
     def describe(self, curves: Curves) -> Results:
         """The model's accuracy, and what its dreams were like."""
@@ -207,7 +207,7 @@ def _dreams(name: str, dreams: Results) -> str:
     said = (
         f"In the first {report.FIRST_DREAMS} episodes with dreams of `{name}` the median fake "
         f"episode lasts {dreams['fake_length']:.0f} steps for a return of "
-        f"{dreams['fake_return']:.0f}, the "
+        f"{dreams['fake_return']:.3g}, the "
         f"median real one {dreams['real_length']:.0f}."
     )
     return said if np.isfinite(dreams["fake_length"]) else f"`{name}` had no dreams."
