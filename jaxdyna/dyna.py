@@ -186,7 +186,7 @@ def _train_model(dyna, config, state, key_sample, key_update, hparams) -> tuple[
     """Gradient steps on all that is stored; returns the model's new state."""
     held, weight = state.replay, None
     if config.terminal_share is not None:
-        weight = replay.share_weight(held, held.data.terminated, config.terminal_share)
+        weight = replay.share_weight(held.held, held.data.terminated, config.terminal_share)
     shape = (config.model_updates, config.model_batch)
     batches = replay.sample(held, key_sample, shape, weight)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import optax
@@ -88,3 +91,37 @@ def transition_loss(
         terminated_logit, true_terminated.astype(terminated_logit.dtype)
     )
     return state_error + reward_error + end_error
+
+
+class PixelLoss(NamedTuple):
+    """A loss of a predicted picture (§3.2), and how its raw output is to be read.
+
+    Attributes:
+        error: ``(raw, truth) -> [...]``, the loss of each pixel; the truth lies in [0, 1].
+        probability: ``raw -> [...]`` in [0, 1]: how much the pixel is believed to be lit.
+    """
+
+    error: Callable[[jax.Array, jax.Array], jax.Array]
+    probability: Callable[[jax.Array], jax.Array]
+
+
+def _clipped(raw: jax.Array) -> jax.Array:
+    return jnp.clip(raw, 0, 1)
+
+
+def _absolute_error(raw: jax.Array, truth: jax.Array) -> jax.Array:
+    return jnp.abs(raw - truth)
+
+
+def _half_square(raw: jax.Array, truth: jax.Array) -> jax.Array:
+    return 0.5 * jnp.square(raw - truth)
+
+
+l1 = PixelLoss(_absolute_error, _clipped)
+"""``|x - y|``."""
+
+l2 = PixelLoss(_half_square, _clipped)
+"""``(x - y)² / 2``."""
+
+bce = PixelLoss(optax.sigmoid_binary_cross_entropy, jax.nn.sigmoid)
+"""The multi-label binary cross-entropy: every pixel is a label of its own."""

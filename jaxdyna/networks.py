@@ -122,3 +122,68 @@ class EncoderDecoder(nn.Module):
         for width, size in zip(self.widths[-2::-1], self.kernels[:0:-1], strict=True):
             x = settle(Convolution(width, size, size - 1)(x))
         return Convolution(self.channels, self.kernels[0], self.kernels[0] - 1)(x), joint
+
+
+class LocalReward(nn.Module):
+    """The reward as a sum over cells of what is seen in each after the step.
+
+    Attributes:
+        width: of the hidden layer.
+    """
+
+    width: int = 16
+
+    @nn.compact
+    def __call__(self, features: jax.Array, next_frame: jax.Array) -> jax.Array:
+        """From the next picture ``[N, H, W, C]`` in [0, 1] to rewards ``[N]``."""
+        del features
+        x = nn.relu(nn.Dense(self.width)(next_frame))
+        return nn.Dense(1, use_bias=False)(x)[..., 0].sum((1, 2))
+
+
+class JointReward(nn.Module):
+    """The reward from the joint features of stack and action (Leibfried et al. 2016)."""
+
+    @nn.compact
+    def __call__(self, features: jax.Array, next_frame: jax.Array) -> jax.Array:
+        """From features ``[N, ...]`` to rewards ``[N]``."""
+        del next_frame
+        return nn.Dense(1)(features.reshape(features.shape[0], -1))[..., 0]
+
+
+class FrameModel(nn.Module):
+    """A network that predicts the next picture, with heads for the reward and the end.
+
+    Attributes:
+        network: ``(stack, action, train) -> (raw, features)``: `LocalDynamics`, `EncoderDecoder`.
+        reward: ``(features, next_frame) -> [N]``: `LocalReward`, `JointReward`; None for 0.
+        terminates: whether there is a head for the end.
+    """
+
+    network: nn.Module
+    reward: nn.Module | None
+    terminates: bool
+
+    def setup(self) -> None:
+        """The end's head."""
+        self.end = nn.Dense(1) if self.terminates else None
+
+    def __call__(
+        self, stack: jax.Array, action: jax.Array, next_frame: jax.Array, train: bool
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Raw picture ``[N, H, W, C]``, reward ``[N]`` and log odds of the end ``[N]``."""
+        raw, features = self.frame(stack, action, train)
+        return raw, *self.outcome(features, next_frame)
+
+    def frame(self, stack: jax.Array, action: jax.Array, train: bool) -> tuple[jax.Array, ...]:
+        """Raw picture and features."""
+        return self.network(stack, action, train)
+
+    def outcome(self, features: jax.Array, next_frame: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Reward and log odds of the end; without a head 0 and minus infinity."""
+        count = next_frame.shape[0]
+        reward = self.reward(features, next_frame) if self.reward else jnp.zeros(count)
+        if self.end is None:
+            return reward, jnp.full(count, -jnp.inf)
+        pooled = features.reshape(count, -1, features.shape[-1]).mean(1)
+        return reward, self.end(pooled)[..., 0]

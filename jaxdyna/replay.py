@@ -31,6 +31,11 @@ class Replay:
         """How many items it holds now."""
         return jnp.minimum(self.added, self.capacity)
 
+    @property
+    def held(self) -> jax.Array:
+        """Which positions hold an item: bool ``[capacity]``."""
+        return jnp.arange(self.capacity) < self.size
+
 
 def init(capacity: int, example: PyTree) -> Replay:
     """An empty buffer.
@@ -93,27 +98,32 @@ def sample(
     if weight is None:
         index = jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
     else:
-        cumulative = jnp.cumsum(weight)
-        height = jax.random.uniform(key, shape) * cumulative[-1]
-        index = jnp.searchsorted(cumulative, height.reshape(-1), side="right").reshape(shape)
-        index = jnp.minimum(index, jnp.maximum(replay.size, 1) - 1)  # where rounding met the top
+        index = draw(weight, key, shape)
     return jax.tree.map(lambda leaf: leaf[index], replay.data)
 
 
-def share_weight(replay: Replay, marked: jax.Array, share: jax.Array | float) -> jax.Array:
+def share_weight(held: jax.Array, marked: jax.Array, share: jax.Array | float) -> jax.Array:
     """Weights for `sample` that give the marked items ``share`` of the draws: rare ones are seen
     often enough to be learned. Where none (or all) of the items held are marked it is uniform.
 
     Args:
-        replay: the buffer.
+        held: bool ``[capacity]``, such as `Replay.held`.
         marked: bool ``[capacity]``.
         share: between 0 and 1.
 
     Returns:
         ``[capacity]``, 0 for what is not held.
     """
-    held = jnp.arange(replay.capacity) < replay.size
     marked, other = held & marked, held & ~marked
     count, rest = marked.sum(), other.sum()
     share = jnp.where(count == 0, 0.0, jnp.where(rest == 0, 1.0, share))
     return marked * share / jnp.maximum(count, 1) + other * (1 - share) / jnp.maximum(rest, 1)
+
+
+def draw(weight: jax.Array, key: Key, shape: tuple[int, ...]) -> jax.Array:
+    """Positions ``[*shape]`` drawn with probabilities in proportion to ``weight [capacity]``."""
+    cumulative = jnp.cumsum(weight)
+    height = jax.random.uniform(key, shape) * cumulative[-1]
+    position = jnp.searchsorted(cumulative, height.reshape(-1), side="right").reshape(shape)
+    last = weight.shape[0] - 1 - jnp.argmax(weight[::-1] > 0)  # where rounding met the top
+    return jnp.minimum(position, last)

@@ -45,7 +45,7 @@ def test_marked_items_get_their_share_of_the_draws():
     buffer = replay.add(buffer, {"x": jnp.arange(1000)}, jnp.ones(1000, bool))
 
     def draw(marked, share):
-        weight = replay.share_weight(buffer, jnp.asarray(marked), share)
+        weight = replay.share_weight(buffer.held, jnp.asarray(marked), share)
         np.testing.assert_allclose(weight.sum(), 1, rtol=1e-5)
         return np.asarray(replay.sample(buffer, jax.random.key(0), (50, 200), weight)["x"])
 

@@ -3,16 +3,19 @@
 from jaxdyna.envs.cartpole import CartPole, CartPoleParams, CartPoleState
 from jaxdyna.envs.gymnasium import HostEnv, HostVectorEnv, register
 from jaxdyna.envs.maze import Maze, MazeParams, MazeState
+from jaxdyna.envs.stack import FrameStack, StackState
 
 __all__ = [
     "CartPole",
     "CartPoleParams",
     "CartPoleState",
+    "FrameStack",
     "HostEnv",
     "HostVectorEnv",
     "Maze",
     "MazeParams",
     "MazeState",
+    "StackState",
     "register",
 ]
 

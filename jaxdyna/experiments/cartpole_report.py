@@ -207,7 +207,7 @@ def _dreams(name: str, dreams: Results) -> str:
     said = (
         f"In the first {report.FIRST_DREAMS} episodes with dreams of `{name}` the median fake "
         f"episode lasts {dreams['fake_length']:.0f} steps for a return of "
-        f"{dreams['fake_return']:.3g}, the "
+        f"{report.whole(dreams['fake_return'])}, the "
         f"median real one {dreams['real_length']:.0f}."
     )
     return said if np.isfinite(dreams["fake_length"]) else f"`{name}` had no dreams."

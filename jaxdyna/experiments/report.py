@@ -75,6 +75,11 @@ def compare(arms: Results, baseline: str) -> Results:
     }
 
 
+def whole(value: float) -> str:
+    """A return in a table: without decimals; in powers of ten where a model has run away."""
+    return f"{value:,.0f}" if abs(value) < 1e6 else f"{value:.0e}"
+
+
 def first_dreams(curves: Curves, real_first: int) -> Results:
     """Medians of fake and real return and length over seeds and the `FIRST_DREAMS` episodes after
     the first ``real_first``; empty for an arm without dreams, NaN where none took place.

@@ -182,7 +182,9 @@ class VariantsReport:
             row.append("-" if arm is arms[0] else f"{difference.mean():+.0f} ({interval(ends)})")
             dreams = arm["first_dreams"]
             row.append(
-                f"{dreams['fake_return']:.0f} / {dreams['real_return']:.0f}" if dreams else "-"
+                f"{report.whole(dreams['fake_return'])} / {report.whole(dreams['real_return'])}"
+                if dreams
+                else "-"
             )
         return [*header, "difference to the first row", "fake / real return"], rows
 

@@ -8,6 +8,13 @@ from jaxdyna.models.environment import (
     threshold_rule,
     uniform_start,
 )
+from jaxdyna.models.pixels import (
+    PixelConfig,
+    PixelHParams,
+    PixelState,
+    frame_probability,
+    pixels,
+)
 from jaxdyna.models.supervised import (
     SupervisedConfig,
     SupervisedHParams,
@@ -20,10 +27,15 @@ __all__ = [
     "LearnedEnvironment",
     "LearnedParams",
     "LearnedState",
+    "PixelConfig",
+    "PixelHParams",
+    "PixelState",
     "SupervisedConfig",
     "SupervisedHParams",
     "SupervisedParams",
     "SupervisedState",
+    "frame_probability",
+    "pixels",
     "sample_rule",
     "supervised",
     "threshold_rule",

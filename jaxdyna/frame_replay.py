@@ -1,0 +1,216 @@
+"""A replay of stacked frames that keeps every frame once.
+
+What `jaxdyna.replay` would store of a transition, two stacks, holds each frame eight times where a
+stack is four deep. Here a transition keeps only the newest frame of its ``obs``; its older frames
+are found with the transitions before it, and the frame after its action with the one that follows,
+or for the last transition of an episode in a small store of last frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from jaxdyna.replay import draw
+from jaxdyna.types import Key, Transition
+
+
+@struct.dataclass
+class FrameReplay:
+    """The buffer. Transition ``i`` lies at ``i % capacity``, episode ``e`` at ``e % episodes``.
+
+    Attributes:
+        frame: the newest frame of ``obs``, ``[capacity, H, W, C]``, in the frames' own type.
+        rest: everything else of a transition: action, reward, terminated, truncated,
+            ``[capacity]``.
+        time: int32 ``[capacity]``, steps since the episode began.
+        episode: int32 ``[capacity]``, its number.
+        last_frame: the frame after each episode's last action, ``[episodes, H, W, C]``.
+        added: int32, transitions ever added.
+        episodes_added: int32, episodes ever added.
+        first: int32 ``[episodes]``, number of each episode's first transition.
+        num_frames: frames in a stack; not an array.
+    """
+
+    frame: jax.Array
+    rest: dict[str, jax.Array]
+    time: jax.Array
+    episode: jax.Array
+    last_frame: jax.Array
+    added: jax.Array
+    episodes_added: jax.Array
+    first: jax.Array
+    num_frames: int = struct.field(pytree_node=False)
+
+    @property
+    def capacity(self) -> int:
+        """The most transitions held."""
+        return self.time.shape[0]
+
+    @property
+    def oldest(self) -> jax.Array:
+        """Number of the oldest transition whose frames are all still there."""
+        whole = jnp.where(self.added > self.capacity, self.added - self.capacity, 0)
+        cut_off = jnp.where(whole > 0, whole + self.num_frames - 1, 0)
+        episode = jnp.maximum(self.episodes_added - self.last_frame.shape[0], 0)
+        return jnp.maximum(cut_off, self.first[episode % self.last_frame.shape[0]])
+
+    @property
+    def held(self) -> jax.Array:
+        """Which positions hold a transition that can be drawn: bool ``[capacity]``."""
+        number = self._number(jnp.arange(self.capacity))
+        return (number >= self.oldest) & (number >= 0)
+
+    @property
+    def size(self) -> jax.Array:
+        """How many transitions can be drawn."""
+        return jnp.maximum(self.added - self.oldest, 0)
+
+    def _number(self, position: jax.Array) -> jax.Array:
+        """Numbers of the transitions at these positions; negative where there is none."""
+        newest = self.added - 1
+        return newest - (newest - position) % self.capacity
+
+
+def init(capacity: int, episodes: int, example: Transition, num_frames: int = 4) -> FrameReplay:
+    """An empty buffer.
+
+    Args:
+        capacity: the most transitions held.
+        episodes: the most episodes whose last frame is held; transitions of older ones are no
+            longer drawn.
+        example: one transition: arrays, or anything with ``shape`` and ``dtype``; ``obs`` is
+            ``[H, W, C * num_frames]``.
+        num_frames: frames in a stack.
+
+    Raises:
+        ValueError: where a count is not positive or the channels do not divide into frames.
+    """
+    height, width, depth = example.obs.shape
+    if capacity < num_frames or episodes < 1 or num_frames < 1:
+        raise ValueError(
+            f"a replay of {capacity} transitions and {episodes} episodes in stacks of "
+            f"{num_frames}: give it at least one episode, and as many transitions as a stack has "
+            "frames"
+        )
+    if depth % num_frames:
+        raise ValueError(f"{depth} channels are not {num_frames} frames of equal depth")
+
+    def frames(count: int) -> jax.Array:
+        return jnp.zeros((count, height, width, depth // num_frames), example.obs.dtype)
+
+    rest = {
+        name: jnp.zeros((capacity, *leaf.shape), leaf.dtype)
+        for name, leaf in _rest(example).items()
+    }
+    numbers, nothing = jnp.zeros(capacity, jnp.int32), jnp.int32(0)
+    return FrameReplay(
+        frame=frames(capacity),
+        rest=rest,
+        time=numbers,
+        episode=numbers,
+        last_frame=frames(episodes),
+        added=nothing,
+        episodes_added=nothing,
+        first=jnp.zeros(episodes, jnp.int32),
+        num_frames=num_frames,
+    )
+
+
+def bytes_per_transition(replay: FrameReplay) -> float:
+    """What the buffer takes of memory, over the transitions it holds when full."""
+    return sum(leaf.nbytes for leaf in jax.tree.leaves(replay)) / replay.capacity
+
+
+def add(replay: FrameReplay, episodes: Transition) -> FrameReplay:
+    """Adds whole episodes ``[N, T]``, as `jaxdyna.rollout` returns them, one after the other; the
+    oldest transitions held make room.
+
+    Raises:
+        ValueError: where more could come at once than the buffer holds.
+    """
+    count, steps = episodes.mask.shape
+    if count * steps > replay.capacity or count > replay.last_frame.shape[0]:
+        raise ValueError(
+            f"{count} episodes of {steps} steps at once do not fit a replay of {replay.capacity} "
+            f"transitions and {replay.last_frame.shape[0]} episodes"
+        )
+    channels = replay.frame.shape[-1]
+    mask = episodes.mask.reshape(-1)
+    number = replay.added + jnp.cumsum(mask) - 1
+    slot = jnp.where(mask, number % replay.capacity, replay.capacity)  # out of bounds: dropped
+
+    def write(held: jax.Array, new: jax.Array) -> jax.Array:
+        return held.at[slot].set(new.reshape(-1, *held.shape[1:]), mode="drop")
+
+    numbers = replay.episodes_added + jnp.arange(count)
+    row = numbers % replay.last_frame.shape[0]
+    lengths = episodes.mask.sum(1)
+    last = jax.vmap(lambda frames, at: frames[at])(episodes.next_obs, jnp.maximum(lengths - 1, 0))
+    return replace(
+        replay,
+        frame=write(replay.frame, episodes.obs[..., -channels:]),
+        rest={name: write(replay.rest[name], leaf) for name, leaf in _rest(episodes).items()},
+        time=write(replay.time, jnp.broadcast_to(jnp.arange(steps), (count, steps))),
+        episode=write(replay.episode, jnp.broadcast_to(numbers[:, None], (count, steps))),
+        last_frame=replay.last_frame.at[row].set(last[..., -channels:]),
+        added=replay.added + mask.sum(dtype=jnp.int32),
+        episodes_added=replay.episodes_added + count,
+        first=replay.first.at[row].set(replay.added + jnp.cumsum(lengths) - lengths),
+    )
+
+
+def sample(
+    replay: FrameReplay, key: Key, shape: tuple[int, ...], weight: jax.Array | None = None
+) -> Transition:
+    """Draws transitions with replacement and rebuilds their stacks.
+
+    Args:
+        replay: a buffer; check ``size``, an empty one yields zeros with ``mask`` False.
+        key: random key.
+        shape: how many, as leading axes.
+        weight: ``[capacity]``, what each position's probability is in proportion to, as
+            `jaxdyna.replay.share_weight` makes it of `FrameReplay.held`; uniform without.
+
+    Returns:
+        A `Transition` ``[*shape, ...]``, each as it was added.
+    """
+    if weight is None:
+        number = replay.oldest + jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
+    else:
+        number = replay._number(draw(weight, key, shape))
+    return take(replay, number)
+
+
+def take(replay: FrameReplay, number: jax.Array) -> Transition:
+    """The transitions of these numbers, counted from the first ever added, int ``[...]``; they must
+    be held (`FrameReplay.oldest` up to ``added``).
+    """
+    slot = number % replay.capacity
+    time, episode = replay.time[slot], replay.episode[slot]
+    ages = jnp.arange(replay.num_frames - 1, -1, -1)
+    back = jnp.minimum(ages, time[..., None])
+    frames = replay.frame[(number[..., None] - back) % replay.capacity]
+    following = replay.frame[(number + 1) % replay.capacity]
+    ended = (replay.rest["terminated"] | replay.rest["truncated"])[slot]
+    last = replay.last_frame[episode % replay.last_frame.shape[0]]
+    after = jnp.where(ended[..., None, None, None], last, following)
+    later = jnp.concatenate([frames[..., 1:, :, :, :], after[..., None, :, :, :]], axis=-4)
+    rest = {name: leaf[slot] for name, leaf in replay.rest.items()}
+    mask = jnp.broadcast_to(replay.size > 0, slot.shape)
+    return Transition(obs=_stack(frames), next_obs=_stack(later), mask=mask, **rest)
+
+
+def _stack(frames: jax.Array) -> jax.Array:
+    """``[..., frames, H, W, C]`` to ``[..., H, W, frames * C]``."""
+    moved = jnp.moveaxis(frames, -4, -2)
+    return moved.reshape(*moved.shape[:-2], -1)
+
+
+def _rest(transitions: Transition) -> dict[str, Any]:
+    names = ("action", "reward", "terminated", "truncated")
+    return {name: getattr(transitions, name) for name in names}

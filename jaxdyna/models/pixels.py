@@ -1,0 +1,175 @@
+"""Action-conditional prediction of the next frame (§3.2 and Fig. 4; Oh et al. 2015)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from jaxdyna.losses import PixelLoss, bce
+from jaxdyna.networks import FrameModel, LocalDynamics, LocalReward
+from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
+
+
+@struct.dataclass
+class PixelHParams:
+    """What can be swept.
+
+    Attributes:
+        learning_rate: of the optimiser.
+    """
+
+    learning_rate: float = 5e-3
+
+
+@dataclass(frozen=True)
+class PixelConfig:
+    """What decides the program.
+
+    Attributes:
+        network: a module ``(stack [N, H, W, C * frames], action [N, actions], train) -> (raw [N, H,
+            W, C], features)``: `jaxdyna.networks.EncoderDecoder` is the paper's.
+        loss: of the pixels.
+        threshold: a pixel is lit where it is believed to be with a greater probability (the
+            paper's is 0.2); None draws it with that probability.
+        reward: a module ``(features, next_frame [N, H, W, C]) -> [N]``:
+            `jaxdyna.networks.JointReward`, `LocalReward`; None predicts no reward.
+        reward_weight: of its squared error beside the pixels' summed loss.
+        terminates: whether the end of the episode is predicted; without it no episode ends.
+        optimizer: from a learning rate to an optax transformation.
+    """
+
+    network: Any = LocalDynamics(3)
+    loss: PixelLoss = bce
+    threshold: float | None = 0.5
+    reward: Any = LocalReward()
+    reward_weight: float = 1.0
+    terminates: bool = False
+    optimizer: Callable[[Any], optax.GradientTransformation] = optax.adam
+
+    def __post_init__(self) -> None:
+        if self.threshold is not None and not 0 <= self.threshold < 1:
+            raise ValueError(f"threshold is {self.threshold}: it must lie in [0, 1), or be None")
+        if not self.reward_weight >= 0:
+            raise ValueError(f"reward_weight is {self.reward_weight}: it must be 0 or more")
+
+
+@struct.dataclass
+class PixelState:
+    """Flax's variables, BatchNorm's running statistics among them, and the optimiser's state."""
+
+    params: Any
+    opt_state: Any
+
+
+def pixels(
+    frame_shape: tuple[int, int, int],
+    num_actions: int,
+    config: PixelConfig | None = None,
+    num_frames: int = 4,
+) -> DynamicsModel:
+    """A model of worlds that are seen as stacked frames.
+
+    Args:
+        frame_shape: ``(height, width, channels)`` of one frame.
+        num_actions: number of discrete actions.
+        config: the program's settings.
+        num_frames: frames in an observation, uint8 ``[H, W, channels * num_frames]``, the newest
+            last.
+
+    Returns:
+        A `DynamicsModel` whose hparams are `PixelHParams`; ``predict`` returns the next stack, its
+        new frame with every channel 0 or 255.
+    """
+    config = config or PixelConfig()
+    channels = frame_shape[-1]
+    module = FrameModel(config.network, config.reward, config.terminates)
+
+    def init(key: Key, hparams: PixelHParams) -> PixelState:
+        stack = jnp.zeros((2, *frame_shape[:2], channels * num_frames))
+        action = jnp.zeros((2, num_actions))
+        variables = module.init(key, stack, action, stack[..., :channels], True)
+        opt_state = config.optimizer(hparams.learning_rate).init(variables["params"])
+        return PixelState(variables, opt_state)
+
+    def predict(params: Any, obs: jax.Array, action: jax.Array, key: Key) -> Prediction:
+        stack, one_hot = _scale(obs[None]), jax.nn.one_hot(action[None], num_actions)
+        raw, features = module.apply(params, stack, one_hot, False, method="frame")
+        believed = config.loss.probability(raw)
+        bar = jax.random.uniform(key, raw.shape) if config.threshold is None else config.threshold
+        frame = (believed > bar).astype(jnp.float32)
+        outcome: Any = module.apply(params, features, frame, method="outcome")
+        reward, logit = outcome
+        lit = (frame[0] * 255).astype(obs.dtype)
+        return Prediction(
+            next_obs=jnp.concatenate([obs[..., channels:], lit], axis=-1),
+            reward=reward[0],
+            terminated=jax.nn.sigmoid(logit[0]),
+            disagreement=jnp.float32(0),
+        )
+
+    def update(
+        state: PixelState, transitions: Transition, key: Key, hparams: PixelHParams
+    ) -> tuple[PixelState, dict[str, jax.Array]]:
+        """One gradient step; ``metrics`` are the mean losses of a transition."""
+        del key
+        lead = transitions.mask.ndim
+        batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[lead:]), transitions)
+        weight = batch.mask.astype(jnp.float32)
+        truth = _scale(batch.next_obs[..., -channels:])
+        one_hot = jax.nn.one_hot(batch.action, num_actions)
+
+        def loss_fn(params):
+            variables = {**state.params, "params": params}
+            (raw, reward, logit), settled = module.apply(
+                variables, _scale(batch.obs), one_hot, truth, True, mutable=["batch_stats"]
+            )
+            parts = {"frame_loss": config.loss.error(raw, truth).sum((1, 2, 3))}
+            if config.reward is not None:
+                parts["reward_loss"] = jnp.square(reward - batch.reward)
+            if config.terminates:
+                end = batch.terminated.astype(jnp.float32)
+                parts["end_loss"] = optax.sigmoid_binary_cross_entropy(logit, end)
+            scale = jnp.maximum(weight.sum(), 1e-6)
+            means = {name: (weight * part).sum() / scale for name, part in parts.items()}
+            heavy = means.get("reward_loss", 0.0) * (config.reward_weight - 1)
+            return sum(means.values()) + heavy, (settled, means)
+
+        grads_of = jax.value_and_grad(loss_fn, has_aux=True)
+        (loss, (settled, means)), grads = grads_of(state.params["params"])
+        optimizer = config.optimizer(hparams.learning_rate)
+        updates, opt_state = optimizer.update(grads, state.opt_state, state.params["params"])
+        trained = optax.apply_updates(state.params["params"], updates)
+        new = PixelState({**state.params, **settled, "params": trained}, opt_state)
+        any_weight = (weight > 0).any()
+        new = jax.tree.map(lambda new, old: jnp.where(any_weight, new, old), new, state)
+        return new, {"loss": loss, **means}
+
+    return DynamicsModel(init, predict, update)
+
+
+def frame_probability(
+    num_actions: int, config: PixelConfig
+) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
+    """What a model of `pixels` believes before any threshold.
+
+    Returns:
+        ``(params, obs [N, H, W, C * frames], action [N]) -> [N, H, W, C]`` in [0, 1].
+    """
+    module = FrameModel(config.network, config.reward, config.terminates)
+
+    def probability(params: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
+        one_hot = jax.nn.one_hot(action, num_actions)
+        raw, _ = module.apply(params, _scale(obs), one_hot, False, method="frame")
+        return config.loss.probability(raw)
+
+    return probability
+
+
+def _scale(picture: jax.Array) -> jax.Array:
+    return picture.astype(jnp.float32) / 255

@@ -1,0 +1,109 @@
+"""The replay that keeps each frame once, against stacks that were kept whole."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from parts import assert_same
+
+from jaxdyna import frame_replay, rollout
+from jaxdyna.envs import FrameStack, Maze, MazeParams
+from jaxdyna.replay import share_weight
+
+ENV = FrameStack(Maze(size=5, num_obstacles=3))
+
+
+def act(obs, key):
+    return jax.random.randint(key, (), 0, 5)
+
+
+def play(seed, count, steps=7, lengths=None):
+    """Episodes ``[count, steps]``; those cut to ``lengths`` terminate there."""
+    episodes = rollout(ENV, act, jax.random.key(seed), MazeParams(max_steps=steps), count)
+    if lengths is None:
+        return episodes
+    time, ends = jnp.arange(steps), jnp.asarray(lengths)[:, None]
+    return episodes._replace(
+        mask=time < ends, terminated=time == ends - 1, truncated=jnp.zeros((count, steps), bool)
+    )
+
+
+def flat(parts):
+    """All valid transitions in the order in which they were added."""
+    rows = [jax.tree.map(lambda leaf, p=part: np.asarray(leaf)[np.asarray(p.mask)], part)
+            for part in parts]  # fmt: skip
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *rows)
+
+
+def example(episodes):
+    return jax.tree.map(lambda leaf: leaf[0, 0], episodes)
+
+
+def check(buffer, parts):
+    """Everything held is as it was added; returns how much that is."""
+    kept = flat(parts)
+    numbers = np.arange(int(buffer.oldest), int(buffer.added))
+    got = frame_replay.take(buffer, jnp.asarray(numbers))
+    assert_same(got, jax.tree.map(lambda leaf: jnp.asarray(leaf[numbers]), kept))
+    assert int(buffer.held.sum()) == int(buffer.size) == len(numbers)
+    return len(numbers)
+
+
+def test_stacks_come_back_as_they_were_across_the_ends_of_episodes():
+    parts = [play(0, 2), play(1, 1, lengths=[1]), play(2, 3, lengths=[3, 7, 2])]
+    buffer = frame_replay.init(64, 20, example(parts[0]))
+    assert int(buffer.size) == 0 and not buffer.held.any()
+    for part in parts:
+        buffer = jax.jit(frame_replay.add)(buffer, part)
+    assert check(buffer, parts) == 14 + 1 + 12
+    assert int(buffer.episodes_added) == 6
+
+
+def test_what_lost_its_frames_is_not_drawn():
+    parts = [play(seed, 1, lengths=[length]) for seed, length in enumerate([7, 5, 2, 7, 6, 3, 7])]
+    buffer = frame_replay.init(16, 20, example(parts[0]))
+    for number, part in enumerate(parts, start=1):
+        buffer = frame_replay.add(buffer, part)
+        check(buffer, parts[:number])
+    assert int(buffer.size) == 16 - 3
+    few = frame_replay.init(64, 2, example(parts[0]))
+    for part in parts:
+        few = frame_replay.add(few, part)
+    assert check(few, parts) == 3 + 7
+
+
+def test_samples_are_uniform_and_whole():
+    parts = [play(0, 2), play(1, 2, lengths=[3, 5])]
+    buffer = frame_replay.init(32, 8, example(parts[0]))
+    empty = frame_replay.sample(buffer, jax.random.key(0), (3,))
+    assert not empty.mask.any()
+    for part in parts:
+        buffer = frame_replay.add(buffer, part)
+    drawn = frame_replay.sample(buffer, jax.random.key(0), (100, 40))
+    assert drawn.obs.shape == (100, 40, 5, 5, 12) and drawn.mask.all()
+    rows = {row.tobytes() for row in np.asarray(flat(parts).obs)}
+    seen = [row.tobytes() for row in np.asarray(drawn.obs).reshape(-1, 5, 5, 12)]
+    assert set(seen) == rows
+    ends = buffer.rest["truncated"] | buffer.rest["terminated"]
+    weight = share_weight(buffer.held, ends, 0.5)
+    drawn = frame_replay.sample(buffer, jax.random.key(1), (4000,), weight)
+    assert (drawn.truncated | drawn.terminated).mean() == pytest.approx(0.5, abs=0.03)
+
+
+def test_memory_is_a_frame_and_little_more():
+    big = play(0, 1)
+    buffer = frame_replay.init(4000, 20, example(big))
+    frame = 5 * 5 * 3
+    assert frame < frame_replay.bytes_per_transition(buffer) < frame + 20
+
+
+def test_clear_errors():
+    episodes = play(0, 3)
+    with pytest.raises(ValueError, match="at once"):
+        frame_replay.add(frame_replay.init(20, 9, example(episodes)), episodes)
+    with pytest.raises(ValueError, match="at once"):
+        frame_replay.add(frame_replay.init(90, 2, example(episodes)), episodes)
+    with pytest.raises(ValueError, match="equal depth"):
+        frame_replay.init(20, 9, example(episodes), num_frames=5)
+    with pytest.raises(ValueError, match="at least one episode"):
+        frame_replay.init(3, 9, example(episodes))
