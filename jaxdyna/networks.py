@@ -125,30 +125,36 @@ class EncoderDecoder(nn.Module):
 
 
 class LocalReward(nn.Module):
-    """The reward as a sum over cells of what is seen in each after the step.
+    """The reward as a sum over cells of what is seen in each after the step. Where there are always
+    as many things of a kind many sums are the same, so cells are charged for what they earn, and
+    of all explanations the one with the fewest cells wins.
 
     Attributes:
         width: of the hidden layer.
+        price: charged for a cell's absolute reward.
     """
 
     width: int = 16
+    price: float = 0.1
 
     @nn.compact
-    def __call__(self, features: jax.Array, next_frame: jax.Array) -> jax.Array:
-        """From the next picture ``[N, H, W, C]`` in [0, 1] to rewards ``[N]``."""
+    def __call__(self, features: jax.Array, next_frame: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """From the next picture ``[N, H, W, C]`` in [0, 1] to rewards and charges, both ``[N]``."""
         del features
         x = nn.relu(nn.Dense(self.width)(next_frame))
-        return nn.Dense(1, use_bias=False)(x)[..., 0].sum((1, 2))
+        earned = nn.Dense(1, use_bias=False)(x)[..., 0]
+        return earned.sum((1, 2)), self.price * jnp.abs(earned).sum((1, 2))
 
 
 class JointReward(nn.Module):
     """The reward from the joint features of stack and action (Leibfried et al. 2016)."""
 
     @nn.compact
-    def __call__(self, features: jax.Array, next_frame: jax.Array) -> jax.Array:
-        """From features ``[N, ...]`` to rewards ``[N]``."""
+    def __call__(self, features: jax.Array, next_frame: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """From features ``[N, ...]`` to rewards ``[N]``, at no charge."""
         del next_frame
-        return nn.Dense(1)(features.reshape(features.shape[0], -1))[..., 0]
+        reward = nn.Dense(1)(features.reshape(features.shape[0], -1))[..., 0]
+        return reward, jnp.zeros_like(reward)
 
 
 class FrameModel(nn.Module):
@@ -156,7 +162,8 @@ class FrameModel(nn.Module):
 
     Attributes:
         network: ``(stack, action, train) -> (raw, features)``: `LocalDynamics`, `EncoderDecoder`.
-        reward: ``(features, next_frame) -> [N]``: `LocalReward`, `JointReward`; None for 0.
+        reward: ``(features, next_frame) -> (reward [N], charge [N])``, the charge to be added to
+            the loss: `LocalReward`, `JointReward`; None for 0.
         terminates: whether there is a head for the end.
     """
 
@@ -170,8 +177,8 @@ class FrameModel(nn.Module):
 
     def __call__(
         self, stack: jax.Array, action: jax.Array, next_frame: jax.Array, train: bool
-    ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Raw picture ``[N, H, W, C]``, reward ``[N]`` and log odds of the end ``[N]``."""
+    ) -> tuple[jax.Array, ...]:
+        """Raw picture ``[N, H, W, C]``, then as `outcome`."""
         raw, features = self.frame(stack, action, train)
         return raw, *self.outcome(features, next_frame)
 
@@ -179,11 +186,15 @@ class FrameModel(nn.Module):
         """Raw picture and features."""
         return self.network(stack, action, train)
 
-    def outcome(self, features: jax.Array, next_frame: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Reward and log odds of the end; without a head 0 and minus infinity."""
+    def outcome(self, features: jax.Array, next_frame: jax.Array) -> tuple[jax.Array, ...]:
+        """Reward, its charge and the log odds of the end, each ``[N]``; without a head 0 and minus
+        infinity.
+        """
         count = next_frame.shape[0]
-        reward = self.reward(features, next_frame) if self.reward else jnp.zeros(count)
+        reward = charge = jnp.zeros(count)
+        if self.reward is not None:
+            reward, charge = self.reward(features, next_frame)
         if self.end is None:
-            return reward, jnp.full(count, -jnp.inf)
+            return reward, charge, jnp.full(count, -jnp.inf)
         pooled = features.reshape(count, -1, features.shape[-1]).mean(1)
-        return reward, self.end(pooled)[..., 0]
+        return reward, charge, self.end(pooled)[..., 0]

@@ -18,18 +18,22 @@ import tyro
 Options = TypeVar("Options")
 
 
-def parse(presets: dict[str, Options], argv: Sequence[str] | None, prog: str) -> Options:
+def parse(
+    presets: dict[str, Options], argv: Sequence[str] | None, prog: str, *, spread: bool = True
+) -> Options:
     """Reads the command line; ``--preset`` chooses where all other options start from.
 
     Args:
         presets: options by the name of their preset, the default one first.
         argv: the arguments, by default the process's.
         prog: the command as the user types it.
+        spread: make every core a device (`use_every_core`).
 
     Raises:
         SystemExit: with code 2 and one line on bad input, with 0 after ``--help``.
     """
-    use_every_core()
+    if spread:
+        use_every_core()
     argv = list(sys.argv[1:] if argv is None else argv)
     default = presets.get(_preset_name(argv), next(iter(presets.values())))
     kind: Any = type(default)

@@ -66,6 +66,15 @@ class Bars:
 
         return report
 
+    def advance(self, name: str, done: int, note: str) -> None:
+        """Sets how much of the arm is done and what runs now; its clock starts with the first."""
+        bar = self._bars[name]
+        if not self._progress.tasks[bar].started:
+            self._progress.start_task(bar)
+        self._progress.update(bar, completed=done, note=note)
+        if done == self._progress.tasks[bar].total:
+            self._progress.stop_task(bar)
+
     def add_note(self, name: str, note: str = "") -> None:
         """Says what else is going on with the arm; nothing by default."""
         said = f"{self._notes[name]}, {note}" if note else self._notes[name]

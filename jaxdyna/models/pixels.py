@@ -37,7 +37,7 @@ class PixelConfig:
         loss: of the pixels.
         threshold: a pixel is lit where it is believed to be with a greater probability (the
             paper's is 0.2); None draws it with that probability.
-        reward: a module ``(features, next_frame [N, H, W, C]) -> [N]``:
+        reward: a module ``(features, next_frame [N, H, W, C]) -> (reward [N], charge [N])``:
             `jaxdyna.networks.JointReward`, `LocalReward`; None predicts no reward.
         reward_weight: of its squared error beside the pixels' summed loss.
         terminates: whether the end of the episode is predicted; without it no episode ends.
@@ -104,7 +104,7 @@ def pixels(
         bar = jax.random.uniform(key, raw.shape) if config.threshold is None else config.threshold
         frame = (believed > bar).astype(jnp.float32)
         outcome: Any = module.apply(params, features, frame, method="outcome")
-        reward, logit = outcome
+        reward, _, logit = outcome
         lit = (frame[0] * 255).astype(obs.dtype)
         return Prediction(
             next_obs=jnp.concatenate([obs[..., channels:], lit], axis=-1),
@@ -126,12 +126,12 @@ def pixels(
 
         def loss_fn(params):
             variables = {**state.params, "params": params}
-            (raw, reward, logit), settled = module.apply(
+            (raw, reward, charge, logit), settled = module.apply(
                 variables, _scale(batch.obs), one_hot, truth, True, mutable=["batch_stats"]
             )
             parts = {"frame_loss": config.loss.error(raw, truth).sum((1, 2, 3))}
             if config.reward is not None:
-                parts["reward_loss"] = jnp.square(reward - batch.reward)
+                parts["reward_loss"] = jnp.square(reward - batch.reward) + charge
             if config.terminates:
                 end = batch.terminated.astype(jnp.float32)
                 parts["end_loss"] = optax.sigmoid_binary_cross_entropy(logit, end)

@@ -1,0 +1,156 @@
+"""The settings of the Maze experiment: its command line and what its models are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, Literal
+
+import optax
+
+from jaxdyna.experiments import cli
+from jaxdyna.losses import bce, l1, l2
+from jaxdyna.models import PixelConfig
+from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalReward
+
+ModelName = Literal["paper", "paper_l2", "paper_l1", "lean", "lean_l2", "lean_l1"]
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a model is trained on what is in its replay."""
+
+    updates: int = 2500
+    """Gradient steps, whatever the number of episodes."""
+    batch: int = 32
+    """Transitions in each."""
+    learning_rate: float = 5e-3
+    """Adam's at the start; it falls to 0 along half a cosine."""
+    rare_share: float | None = 0.25
+    """Share of each batch drawn from transitions whose reward is not 0; None: as they come."""
+
+    def __post_init__(self) -> None:
+        if self.updates < 1 or self.batch < 1:
+            raise ValueError(f"{self.updates} updates of {self.batch}: both must be at least 1")
+        if not 0 < self.learning_rate < float("inf"):
+            raise ValueError(f"the learning rate is {self.learning_rate}: it must be above 0")
+        if self.rare_share is not None and not 0 <= self.rare_share <= 1:
+            raise ValueError(f"rare_share is {self.rare_share}: it must lie in [0, 1], or be None")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Action-conditional frame prediction in the Maze: the paper's F1 table and Fig. 7."""
+
+    part: Literal["model"] = "model"
+    """model: frame prediction from a random policy's episodes."""
+    preset: Literal["paper", "lean"] = "paper"
+    """Which arms are played by default: paper, the paper's model with its three losses beside ours;
+    lean, ours alone."""
+    quick: bool = False
+    """A look at everything in minutes: fewer seeds, episodes and updates, narrower networks."""
+    seeds: int = 10
+    """Runs of every arm, all in one jitted program."""
+    seed: int = 0
+    """Base seed of all runs."""
+    episodes: int = 300
+    """Episodes of the random policy at the most."""
+    stages: tuple[int, ...] = (10, 30, 100, 300)
+    """After how many of them a model is trained and judged; those above --episodes are left out."""
+    ablation_stage: int = 100
+    """The stage at which the models with another loss are trained."""
+    arms: tuple[ModelName, ...] = ("paper", "paper_l2", "paper_l1", "lean")
+    """paper: Fig. 4 with the multi-label cross-entropy; lean: convolutions throughout; with _l1 and
+    _l2 the same network under another loss."""
+    out: Path | None = None
+    """Folder for the results; runs/maze-model by default."""
+    resume: bool = False
+    """Go on with the run in that folder: stages that are finished are not repeated."""
+    widths: tuple[int, ...] = (32, 32, 32)
+    """Channels of the paper's three convolutions; the authors' code has 128 in each."""
+    dense: int = 512
+    """Width of the paper's dense layer."""
+    lean_widths: tuple[int, ...] = (32, 32, 32)
+    """Channels of our 3x3 convolutions."""
+    steps: int = 200
+    """Steps of an episode."""
+    held_out: int = 20
+    """New episodes that models are judged on."""
+    horizon: int = 50
+    """Steps of an open-loop dream."""
+    paper: Training = field(default_factory=lambda: Training(6000, 64, 5e-3, None))
+    """Training of the paper's model."""
+    lean: Training = field(default_factory=Training)
+    """Training of ours."""
+
+    def __post_init__(self) -> None:
+        cli.check_common(self)
+        if not self.arms:
+            raise ValueError("--arms is empty: name at least one model")
+        if min(self.stages, default=0) < 1 or self.ablation_stage < 1:
+            raise ValueError("--stages and --ablation-stage: give numbers of episodes, at least 1")
+        if not self.played_stages:
+            raise ValueError(
+                f"--episodes is {self.episodes}, less than the first of --stages: raise it"
+            )
+        if len(self.widths) != len(EncoderDecoder(3).kernels) or min(self.widths) < 1:
+            raise ValueError("--widths: give three numbers of channels")
+        if min(self.lean_widths, default=0) < 1 or self.dense < 1:
+            raise ValueError("--lean-widths and --dense: give numbers of at least 1")
+        if not 2 <= self.horizon < self.steps or self.held_out < 1:
+            raise ValueError("--horizon must lie in 2..steps - 1, --held-out be at least 1")
+
+    @property
+    def played_stages(self) -> tuple[int, ...]:
+        """The stages within ``episodes``, in order."""
+        return tuple(sorted({stage for stage in self.stages if stage <= self.episodes}))
+
+    def stages_of(self, arm: str) -> tuple[int, ...]:
+        """All of them, or for a model with another loss the one nearest ``ablation_stage``."""
+        if arm in ("paper", "lean"):
+            return self.played_stages
+        return (min(self.played_stages, key=lambda stage: abs(stage - self.ablation_stage)),)
+
+
+PAPER = Options()
+PRESETS = {"paper": PAPER, "lean": Options(preset="lean", arms=("lean",))}
+QUICK: dict[str, Any] = {
+    "seeds": 2,
+    "episodes": 100,
+    "held_out": 5,
+    "widths": (8, 8, 8),
+    "dense": 128,
+    "lean_widths": (16, 16),
+    "paper": Training(500, 32, 5e-3, None),
+    "lean": Training(500, 32, 1e-2),
+}
+
+
+def training_of(options: Options, arm: str) -> Training:
+    """How this arm is trained."""
+    return options.paper if arm.startswith("paper") else options.lean
+
+
+def config_of(options: Options, arm: str) -> PixelConfig:
+    """The model of this arm. The paper's threshold of 0.2 serves its cross-entropy; 0.5 serves
+    ours, and L1 and L2, whose outputs are no probabilities.
+    """
+    loss = {"l1": l1, "l2": l2}.get(arm.partition("_")[2], bce)
+    optimizer = cosine_adam(training_of(options, arm).updates)
+    if arm.startswith("paper"):
+        coder = EncoderDecoder(3, tuple(options.widths), dense=options.dense)
+        threshold = 0.2 if loss is bce else 0.5
+        return PixelConfig(coder, loss, threshold, JointReward(), optimizer=optimizer)
+    local = LocalDynamics(3, tuple(options.lean_widths))
+    return PixelConfig(local, loss, 0.5, LocalReward(), optimizer=optimizer)
+
+
+@cache
+def cosine_adam(updates: int) -> Any:
+    """Adam (Kingma and Ba 2015) whose learning rate falls to 0 within ``updates``."""
+    return partial(_cosine_adam, updates)
+
+
+def _cosine_adam(updates: int, learning_rate: Any) -> optax.GradientTransformation:
+    return optax.adam(optax.cosine_decay_schedule(learning_rate, updates))
