@@ -115,8 +115,8 @@ class EncoderDecoder(nn.Module):
         for width, size in zip(self.widths[1:], self.kernels[1:], strict=True):
             x = settle(Convolution(width, size, 0)(x))
         encoded = x.shape[1:]
-        x = settle(nn.Dense(self.dense)(x.reshape(x.shape[0], -1)))
-        joint = x * settle(nn.Dense(self.dense)(action))
+        encoded_flat = nn.Dense(self.dense, use_bias=False)(x.reshape(x.shape[0], -1))
+        joint = encoded_flat * nn.Dense(self.dense, use_bias=False)(action)
         x = settle(nn.Dense(encoded[0] * encoded[1] * encoded[2])(joint))
         x = x.reshape(-1, *encoded)
         for width, size in zip(self.widths[-2::-1], self.kernels[:0:-1], strict=True):

@@ -47,20 +47,21 @@ class Options:
             raise ValueError("--batch, --rounds and --widths: give numbers of at least 1")
 
 
-def random_batch(size: int) -> Any:
+def random_batch(size: int) -> Transition:
     """A batch as the Maze's frames are: few pixels lit."""
     generator = np.random.default_rng(0)
     frames = (generator.random((size, 16, 16, 15)) < 0.02).astype(np.uint8) * 255
     flags = np.zeros(size, bool)
-    return Transition(
-        obs=frames[..., :12],
-        action=generator.integers(0, 5, size),
-        reward=generator.integers(-1, 2, size).astype(np.float32),
-        next_obs=frames[..., 3:],
-        terminated=flags,
-        truncated=flags,
-        mask=~flags,
-    )
+    fields: Any = {
+        "obs": frames[..., :12],
+        "action": generator.integers(0, 5, size),
+        "reward": generator.integers(-1, 2, size).astype(np.float32),
+        "next_obs": frames[..., 3:],
+        "terminated": flags,
+        "truncated": flags,
+        "mask": ~flags,
+    }
+    return Transition(**fields)
 
 
 def jax_steps(batch: Any, widths: tuple[int, ...]) -> dict[str, Callable[[], Any]]:

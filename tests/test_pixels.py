@@ -1,0 +1,207 @@
+"""Frame models: their networks, losses and heads."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from parts import assert_close, assert_same
+
+from jaxdyna import rollout
+from jaxdyna.envs import FrameStack, Maze, MazeParams
+from jaxdyna.losses import bce, l1, l2
+from jaxdyna.models import (
+    LearnedEnvironment,
+    LearnedParams,
+    PixelConfig,
+    PixelHParams,
+    frame_probability,
+    pixels,
+)
+from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalReward
+
+SIZE = 9
+ENV = FrameStack(Maze(size=SIZE, num_obstacles=3))
+PARAMS = MazeParams(max_steps=30)
+LOCAL = LocalDynamics(3, (16, 16))
+CODER = EncoderDecoder(3, widths=(8, 8, 8), kernels=(4, 3, 3), dense=32)
+CONFIGS = {
+    "local": PixelConfig(LOCAL),
+    "coder": PixelConfig(CODER, threshold=0.2, reward=JointReward()),
+    "ends": PixelConfig(LOCAL, terminates=True, reward=None),
+    "l2": PixelConfig(LOCAL, loss=l2),
+}
+
+
+def act(obs, key):
+    return jax.random.randint(key, (), 0, 5)
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    return rollout(ENV, act, jax.random.key(1), PARAMS, 6)
+
+
+def make(name, num_frames=4):
+    model = pixels((SIZE, SIZE, 3), 5, CONFIGS[name], num_frames)
+    return model._replace(init=jax.jit(model.init), update=jax.jit(model.update))
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_prediction_is_a_stack_with_one_new_frame(name, episodes):
+    model = make(name)
+    params = model.init(jax.random.key(0), PixelHParams()).params
+    obs = episodes.obs[0, 5]
+    prediction = model.predict(params, obs, episodes.action[0, 5], jax.random.key(1))
+    assert prediction.next_obs.shape == obs.shape and prediction.next_obs.dtype == jnp.uint8
+    np.testing.assert_array_equal(prediction.next_obs[..., :9], obs[..., 3:])
+    assert set(np.unique(prediction.next_obs[..., 9:])) <= {0, 255}
+    assert prediction.reward.shape == prediction.terminated.shape == ()
+    assert (prediction.terminated > 0) == (name == "ends")
+    assert name != "ends" or prediction.reward == 0
+    jitted = jax.jit(model.predict)(params, obs, episodes.action[0, 5], jax.random.key(1))
+    assert_close(jitted, prediction, 1e-4)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_what_is_masked_does_not_teach(name, episodes):
+    model, hparams, key = make(name), PixelHParams(), jax.random.key(2)
+    state = model.init(jax.random.key(0), hparams)
+
+    def update(transitions):
+        return model.update(state, transitions, jax.random.clone(key), hparams)[0]
+
+    some = episodes._replace(mask=episodes.mask.at[:, 10:].set(False))
+    garbage = some._replace(reward=jnp.where(some.mask, some.reward, 99.0))
+    assert_close(update(garbage), update(some), 1e-4)
+    assert_same(update(episodes._replace(mask=episodes.mask * 0.0)), state)
+
+
+def test_losses_by_hand():
+    raw, truth = jnp.array([0.0, 2.0, -1.0]), jnp.array([1.0, 0.5, 0.0])
+    np.testing.assert_allclose(l1.error(raw, truth), [1, 1.5, 1])
+    np.testing.assert_allclose(l2.error(raw, truth), [0.5, 1.125, 0.5])
+    np.testing.assert_allclose(l1.probability(raw), [0, 1, 0])
+    p = 1 / (1 + np.exp(-np.asarray(raw)))
+    expected = -(truth * np.log(p) + (1 - truth) * np.log(1 - p))
+    np.testing.assert_allclose(bce.error(raw, truth), expected, rtol=1e-6)
+    np.testing.assert_allclose(bce.probability(raw), p, rtol=1e-6)
+
+
+def test_drawn_pixels_come_as_often_as_they_are_believed_in(episodes):
+    config = PixelConfig(LOCAL, threshold=None)
+    model = pixels((SIZE, SIZE, 3), 5, config)
+    params = jax.jit(model.init)(jax.random.key(3), PixelHParams()).params
+    obs, action = episodes.obs[0, 3], episodes.action[0, 3]
+    keys = jax.random.split(jax.random.key(4), 2000)
+    drawn = jax.vmap(model.predict, (None, None, None, 0))(params, obs, action, keys).next_obs
+    believed = frame_probability(5, config)(params, obs[None], action[None])[0]
+    np.testing.assert_allclose((drawn[..., 9:] > 0).mean(0), believed, atol=0.05)
+
+
+def test_local_dynamics_see_the_edge_and_the_neighbourhood_only():
+    blank = jnp.zeros((1, 8, 8, 12))
+    params = jax.jit(lambda key: LOCAL.init(key, blank, jnp.zeros((1, 5)), False))(
+        jax.random.key(0)
+    )
+    action = jax.nn.one_hot(jnp.array([2]), 5)
+
+    def out(stack):
+        return jax.jit(LOCAL.apply, static_argnums=3)(params, stack, action, False)[0][0]
+
+    still = out(blank)
+    np.testing.assert_allclose(still[3, 3], still[4, 4], atol=1e-6)
+    assert np.abs(still[0, 3] - still[3, 3]).max() > 1e-3
+    touched = np.abs(out(blank.at[0, 3, 3, 0].set(1.0)) - still).max(-1) > 1e-7
+    rows, columns = np.nonzero(touched)
+    assert rows.min() >= 1 and rows.max() <= 5 and columns.min() >= 1 and columns.max() <= 5
+
+
+def test_the_encoder_decoder_is_symmetric_and_normalised():
+    network = EncoderDecoder(3)
+    variables = jax.eval_shape(
+        lambda key: network.init(key, jnp.zeros((2, 16, 16, 12)), jnp.zeros((2, 5)), True),
+        jax.random.key(0),
+    )
+    kernels = [
+        leaf["kernel"].shape for name, leaf in sorted(variables["params"].items())
+        if name.startswith("Convolution")
+    ]  # fmt: skip
+    assert [kernel[0] for kernel in kernels] == [5, 4, 4, 4, 4, 5]
+    # After every layer but the input's and the output's: 2 + 2 convolutions, 3 dense layers.
+    assert len(variables["batch_stats"]) == 7
+    raw, joint = jax.eval_shape(
+        lambda v: network.apply(v, jnp.zeros((2, 16, 16, 12)), jnp.zeros((2, 5)), False), variables
+    )
+    assert raw.shape == (2, 16, 16, 3) and joint.shape == (2, 256)
+
+
+@pytest.mark.parametrize("name", ["local", "coder"])
+def test_it_learns_what_it_is_shown(name, episodes):
+    """Trained on a few episodes, a model predicts their frames and rewards."""
+    config = PixelConfig(
+        CONFIGS[name].network, reward=CONFIGS[name].reward, optimizer=optax.adam, threshold=0.5
+    )
+    model, hparams = pixels((SIZE, SIZE, 3), 5, config), PixelHParams(1e-2)
+    state = jax.jit(model.init)(jax.random.key(0), hparams)
+
+    def step(state, _):
+        return model.update(state, episodes, jax.random.key(0), hparams)
+
+    state, losses = jax.jit(lambda s: jax.lax.scan(step, s, length=150))(state)
+    assert losses["frame_loss"][-1] < 0.35 * losses["frame_loss"][0]
+    assert losses["reward_loss"][-1] < 0.6 * losses["reward_loss"][0]
+    flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), episodes)
+    keys = jax.random.split(jax.random.key(1), flat.action.shape[0])
+    seen = jax.vmap(model.predict, (None, 0, 0, 0))(state.params, flat.obs, flat.action, keys)
+    wrong = (seen.next_obs != flat.next_obs)[..., 9:].sum((1, 2, 3))
+    assert wrong.mean() < {"local": 2, "coder": 4}[name]  # all black is wrong in five
+
+
+def test_a_reward_is_laid_where_it_is_earned():
+    """Five obstacles, one goal and one agent are always there: only sums are seen. The charge
+    leaves the reward on the cells where it is earned.
+    """
+    head = LocalReward()
+    keys = jax.random.split(jax.random.key(0), 3)
+    cells = jax.random.randint(keys[0], (512, 3), 0, 6)
+    cells = jnp.where(
+        jax.random.bernoulli(keys[1], 0.4, (512, 1)), cells.at[:, 0].get()[:, None], cells
+    )
+    frames = jax.nn.one_hot(cells, 6).transpose(0, 2, 1)[:, :, None]  # [N, 6, 1, channels]
+    reward = -5.0 * (cells[:, 0] == cells[:, 2]) + (cells[:, 1] == cells[:, 2])
+    params = head.init(keys[2], None, frames)
+    optimizer = optax.adam(1e-2)
+
+    def loss(params):
+        earned, charge = head.apply(params, None, frames)
+        return (jnp.square(earned - reward) + charge).mean()
+
+    def step(carry, _):
+        params, opt_state = carry
+        updates, opt_state = optimizer.update(jax.grad(loss)(params), opt_state)
+        return (optax.apply_updates(params, updates), opt_state), None
+
+    (params, _), _ = jax.jit(lambda c: jax.lax.scan(step, c, length=2000))(
+        (params, optimizer.init(params))
+    )
+    single = jnp.eye(3)[:, None, None]
+    np.testing.assert_allclose(head.apply(params, None, single)[0], 0, atol=0.3)
+
+
+def test_a_dreamed_maze_is_an_environment(episodes):
+    model = make("local")
+    world = LearnedEnvironment(ENV, model.predict, lambda key, start: start)
+    params = LearnedParams(
+        model.init(jax.random.key(0), PixelHParams()).params, episodes.obs[0, 9], max_steps=7
+    )
+    dreams = rollout(world, act, jax.random.key(2), params, 3)
+    assert dreams.obs.shape == (3, 7, SIZE, SIZE, 12) and dreams.obs.dtype == jnp.uint8
+    assert dreams.truncated[:, -1].all()
+
+
+def test_clear_errors():
+    with pytest.raises(ValueError, match=r"threshold is 1\.5"):
+        PixelConfig(threshold=1.5)
+    with pytest.raises(ValueError, match="reward_weight"):
+        PixelConfig(reward_weight=-1.0)
