@@ -113,9 +113,9 @@ def make_advance(
     def step(state: DynaState, episode: jax.Array, hparams: DynaHParams):
         key, key_real, key_agent, key_model, key_dream = jax.random.split(state.key, 5)
         state = replace(state, key=key)
-        dreaming = episode >= config.num_real_first
+        dreaming = episode + 1 >= config.num_real_first
         real = _play_real(dyna, config, state.agent, key_real, hparams)
-        agent, metrics = _learn_policy(dyna, state.agent, real, key_agent, dreaming, hparams)
+        agent, metrics = _learn_policy(dyna, config, state.agent, real, episode, key_agent, hparams)
         state = replace(state, agent=agent)
         awake = real.terminated.any() if config.rest_when_safe else True
         if dyna.model is not None:
@@ -159,10 +159,11 @@ def _play_real(dyna, config, agent, key, hparams) -> Transition:
     return rollout(dyna.env, act, key, hparams.env, 1, num_steps=config.num_steps)
 
 
-def _learn_policy(dyna, agent, real, key, dreaming, hparams) -> tuple[Any, Metrics]:
+def _learn_policy(dyna, config, agent, real, episode, key, hparams) -> tuple[Any, Metrics]:
     weighted = real
     if dyna.dream is not None:
-        weight = jnp.where(dreaming, hparams.real_weight, 1.0)
+        first = jnp.maximum(max(config.num_real_first, 1), hparams.num_real_first)
+        weight = jnp.where(episode >= first, hparams.real_weight, 1.0)
         weighted = real._replace(mask=real.mask * weight)
     agent, losses = dyna.agent.update(agent, weighted, key, hparams.agent)
     return agent, {"agent_loss": losses["loss"]} | _summary("real", real)
@@ -207,7 +208,7 @@ def _train_model(dyna, config, state, key_sample, key_update, hparams) -> tuple[
 def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metrics]:
     """Policy updates on fake episodes; returns the agent's new state."""
     env_params = dyna.dream.params(state, hparams)
-    weight = jnp.where(episode >= hparams.num_real_first, hparams.fake_weight, 0.0)
+    weight = jnp.where(episode + 1 >= hparams.num_real_first, hparams.fake_weight, 0.0)
 
     def update(agent, key_play, key_update):
         def act(obs, key):

@@ -102,6 +102,17 @@ def sample(
     return jax.tree.map(lambda leaf: leaf[index], replay.data)
 
 
+def sample_distinct(replay: Replay, key: Key, count: int) -> PyTree:
+    """Draws ``count`` items, none twice; those that it holds less than that come as stored zeros.
+
+    Returns:
+        Every leaf ``[count, ...]``.
+    """
+    ticket = jnp.where(replay.held, jax.random.uniform(key, (replay.capacity,)), -1)
+    _, rows = jax.lax.top_k(ticket, count)
+    return jax.tree.map(lambda leaf: leaf[rows], replay.data)
+
+
 def share_weight(held: jax.Array, marked: jax.Array, share: jax.Array | float) -> jax.Array:
     """Weights for `sample` that give the marked items ``share`` of the draws: rare ones are seen
     often enough to be learned. Where none (or all) of the items held are marked it is uniform.

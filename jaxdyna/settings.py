@@ -15,7 +15,7 @@ class DynaConfig:
 
     Attributes:
         num_episodes: real episodes in all.
-        num_real_first: N of §3.1.2: real episodes before the first dream.
+        num_real_first: N of §3.1.2: the first dream follows the N-th real episode (0 is as 1).
         num_steps: the longest episode, real or fake, in steps.
         model_updates: gradient steps of the model after each real episode.
         model_batch: transitions a gradient step.

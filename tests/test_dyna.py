@@ -25,7 +25,8 @@ def dyna_run():
 def test_metrics_and_phases(dyna_run):
     state, metrics = dyna_run
     assert all(values.shape[0] == SMALL.num_episodes for values in metrics.values())
-    np.testing.assert_array_equal(np.isnan(metrics["fake_return"]), [True] * 2 + [False] * 4)
+    # The first dream follows the second real episode: N = 2.
+    np.testing.assert_array_equal(np.isnan(metrics["fake_return"]), [True] + [False] * 5)
     np.testing.assert_array_equal(metrics["real_return"], metrics["real_length"])
     assert state.replay.added == metrics["real_length"].sum()
     assert state.starts.added == SMALL.num_episodes
@@ -62,7 +63,7 @@ def test_a_placebo_computes_its_updates_and_discards_them():
     state, metrics = train(DYNA, model_trains=False)
     untrained = make_init(DYNA, SMALL)(jax.random.key(0), hparams())
     assert_same(state.model, untrained.model)
-    assert (metrics["model_loss"] > 0).all() and np.isfinite(metrics["fake_return"][2:]).all()
+    assert (metrics["model_loss"] > 0).all() and np.isfinite(metrics["fake_return"][1:]).all()
 
 
 def test_rest_when_safe():
@@ -75,7 +76,7 @@ def test_rest_when_safe():
     full = metrics["real_length"] == 12
     rested = np.isnan(metrics["model_loss"])
     assert rested.any() and full[rested].all()  # a fall in the very last step is no rest
-    np.testing.assert_array_equal(np.isnan(metrics["fake_return"])[..., 2:], rested[..., 2:])
+    np.testing.assert_array_equal(np.isnan(metrics["fake_return"])[..., 1:], rested[..., 1:])
     assert not np.isnan(metrics["model_loss"][~full]).any()
     keys = jax.random.split(jax.random.key(0), 5)
     blocks, _ = sweep(make_train(DYNA, config, AXES), keys, params, block=2)

@@ -7,18 +7,24 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from parts import assert_same
 
+from jaxdyna.dyna import make_train
 from jaxdyna.experiments import (
     cartpole,
     cartpole_accuracy,
     cartpole_data,
+    cartpole_levers,
     cartpole_readings,
     cartpole_scaling,
     run,
 )
+from jaxdyna.experiments.cartpole_options import LEAN
+from jaxdyna.experiments.checkpoint import Checkpoints
 from jaxdyna.experiments.run import piece_length
 from jaxdyna.experiments.storage import read_curves
 
@@ -74,17 +80,65 @@ def test_curves_hold_every_episode_of_every_seed(finished):
     np.testing.assert_array_equal(
         curves["model_free/real_return"][:, :4], curves["dyna/real_return"][:, :4]
     )
-    assert np.isfinite(curves["dyna/fake_return"][:, 4:]).all()
+    assert np.isnan(curves["dyna/fake_return"][:, :3]).all()
+    assert np.isfinite(curves["dyna/fake_return"][:, 3:]).all()
     assert (curves["dyna/state_error"] > 0).all()
 
 
 def test_report_and_figures(finished):
     report = (finished / "report.md").read_text()
-    for name in ("fig6.png", "fig5_dyna.png", "fig5_placebo.png"):
+    for name in ("fig6.png", "fig5_dyna.png", "solved.png"):
         assert f"({name})" in report
         assert (finished / name).read_bytes().startswith(b"\x89PNG")
     assert "nan" not in report.lower().replace("finance", "")
     assert not (finished / "checkpoints").exists()
+
+
+def test_the_placebo_learns_from_as_many_dreams():
+    """Where nothing lasts to the horizon, an arm that rests when safe and its placebo make the same
+    number of policy updates: the placebo's endless dreams do not count as safe.
+    """
+    small = replace(
+        LEAN,
+        episodes=5,
+        model_updates=2,
+        dream_updates=4,
+        dream_episodes=2,
+        hparams=replace(LEAN.hparams, real_weight=0.0),
+    )
+    arm = cartpole.make_arms(small)["placebo"]
+    state, metrics = jax.jit(make_train(arm.dyna, arm.config))(jax.random.key(0), arm.hparams)
+    assert (metrics["real_length"] < 200).all()
+    updates = [leaf for leaf in jax.tree.leaves(state.agent) if leaf.dtype == np.int32]
+    # Three episodes before the first dream (real updates), then 4 dreams after each from the third.
+    assert [int(count) for count in updates] == [3 + 3 * 4]
+
+
+def test_a_checkpoint_may_be_resumed_on_fewer_devices(tmp_path):
+    mesh = jax.sharding.Mesh(np.array(jax.devices()), ("devices",))
+    spread = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("devices"))
+    state = {"x": jnp.arange(4.0), "key": jax.random.split(jax.random.key(3), 4)}
+    Checkpoints(tmp_path / "arm").save(7, jax.device_put(state, spread), {"r": np.ones(2)}, 1.5)
+    alone = jax.device_put(state, jax.devices()[0])
+    loaded, pieces, run_s = Checkpoints(tmp_path / "arm").load(alone)
+    assert_same(loaded, state)
+    assert loaded["x"].sharding.device_set == {jax.devices()[0]} and run_s == 1.5
+    assert_same(pieces, [{"r": np.ones(2)}])
+
+
+@pytest.mark.parametrize(
+    ("study", "arguments"),
+    [
+        (cartpole_readings.READINGS.main, ["--episodes", "50"]),
+        (cartpole_accuracy.ACCURACY.main, ["--episodes", "50"]),
+        (cartpole_levers.LEVERS.main, ["--episodes", "2"]),
+        (cartpole_scaling.main, ["--episodes", "2"]),
+    ],
+)
+def test_studies_refuse_too_few_episodes(study, arguments, capsys):
+    with pytest.raises(SystemExit) as stop:
+        study(arguments)
+    assert stop.value.code == 2 and "lower N or raise" in capsys.readouterr().err
 
 
 def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatch):

@@ -40,6 +40,15 @@ def test_samples_every_held_item_equally_and_nothing_else():
     np.testing.assert_allclose(counts[1:5], 2000, rtol=0.1)
 
 
+def test_distinct_draws_repeat_nothing():
+    buffer = replay.init(10, {"x": jnp.int32(0)})
+    buffer = replay.add(buffer, {"x": jnp.arange(1, 8)}, jnp.ones(7, bool))
+    drawn = replay.sample_distinct(buffer, jax.random.key(0), 7)["x"]
+    assert sorted(drawn.tolist()) == list(range(1, 8))
+    fewer = [replay.sample_distinct(buffer, jax.random.key(seed), 3)["x"] for seed in range(30)]
+    assert len({tuple(sorted(row.tolist())) for row in fewer}) > 10
+
+
 def test_marked_items_get_their_share_of_the_draws():
     buffer = replay.init(2000, {"x": jnp.int32(0)})
     buffer = replay.add(buffer, {"x": jnp.arange(1000)}, jnp.ones(1000, bool))

@@ -117,7 +117,7 @@ def overwrite_angle(predict: Predict) -> Predict:
 def make_arms(options: Options) -> dict[str, Arm]:
     """The arms by name, each from the same parts. The placebo's model computes its updates and
     discards them; its dreams last to the horizon, because an untrained model would end each at
-    once.
+    once, and it never rests, because a dream without an end says nothing there.
     """
     config = dyna_config(options)
     dream = Dreams(
@@ -133,7 +133,7 @@ def make_arms(options: Options) -> dict[str, Arm]:
     return {
         "model_free": Arm(alone, config, hparams),
         "dyna": Arm(dyna, config, hparams),
-        "placebo": Arm(dyna, config, untrained),
+        "placebo": Arm(dyna, replace(config, rest_when_safe=False), untrained),
         "oracle": Arm(oracle, config, hparams),
     }
 

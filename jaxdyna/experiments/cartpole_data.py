@@ -86,7 +86,7 @@ def make_study(options: Options) -> Any:
             _single(arm, act, key, options.transitions)
             for act, key in zip(policies[:2], keys, strict=True)
         ]
-        parts.append(replay.sample(state.replay, key_test, (options.transitions,)))
+        parts.append(replay.sample_distinct(state.replay, key_test, options.transitions))
         keys = jax.random.split(key_fit, len(SOURCES))
         fitted = [
             _fit(model, arm, key, data, options.updates)
@@ -108,14 +108,13 @@ def _policy(arm: Arm, state: Any, random_share: float) -> Any:
 
 
 def _single(arm: Arm, act: Any, key: Key, count: int) -> Transition:
-    """``count`` transitions of one policy, drawn from whole episodes of it."""
+    """``count`` transitions of one policy, none twice, drawn from whole episodes of it."""
     key_play, key_sample = jax.random.split(key)
     # From so close to upright no episode falls within 8 steps: these always hold enough.
     episodes = rollout(arm.dyna.env, act, key_play, arm.hparams.env, -(-count // 8))
     example = jax.tree.map(lambda leaf: leaf[0, 0], episodes)
     held = replay.add(replay.init(episodes.mask.size, example), episodes, episodes.mask)
-    first = jax.tree.map(lambda leaf: leaf[:count], held.data)
-    return replay.sample(replay.Replay(first, jnp.int32(count)), key_sample, (count,))
+    return replay.sample_distinct(held, key_sample, count)
 
 
 def _fit(model: DynamicsModel, arm: Arm, key: Key, data: Transition, updates: int) -> Any:

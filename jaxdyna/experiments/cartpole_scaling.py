@@ -19,7 +19,8 @@ from rich.console import Console
 from jaxdyna.dyna import make_train
 from jaxdyna.experiments import cli, plots_studies, report
 from jaxdyna.experiments.cartpole import make_arms
-from jaxdyna.experiments.cartpole_options import PRESETS
+from jaxdyna.experiments.cartpole_options import PRESETS, dyna_config
+from jaxdyna.experiments.cartpole_options import Options as CartPoleOptions
 from jaxdyna.experiments.storage import plain, write_json, write_text
 from jaxdyna.sweep import AXES, sweep
 
@@ -45,14 +46,19 @@ class Options:
         cli.check_common(self)
         if not self.sizes or min(self.sizes) < 1:
             raise ValueError(f"--sizes are {self.sizes}: give numbers of runs, each at least 1")
+        dyna_config(self.setup)
+
+    @property
+    def setup(self) -> CartPoleOptions:
+        """The settings of each run."""
+        return replace(PRESETS[self.preset], episodes=self.episodes)
 
 
 def measure(options: Options, runs: int) -> dict[str, float]:
     """Seconds of one sweep of ``runs`` runs, tracing and compiling apart from running."""
-    setup = replace(PRESETS[options.preset], episodes=options.episodes)
-    arm = make_arms(setup)["dyna"]
+    arm = make_arms(options.setup)["dyna"]
     train = make_train(arm.dyna._replace(diagnose=None), arm.config, AXES)
-    block = setup.block if jax.default_backend() == "cpu" else None
+    block = options.setup.block if jax.default_backend() == "cpu" else None
 
     def returns(key: jax.Array, hparams: Any) -> jax.Array:
         return train(key, hparams)[1]["real_return"]

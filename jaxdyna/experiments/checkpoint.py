@@ -30,10 +30,12 @@ class Checkpoints:
         return self.directory.is_dir() and self._manager().latest_step() is not None
 
     def save(self, step: int, state: Any, metrics: Metrics, run_s: float) -> None:
-        """Writes the whole state: parameters, optimisers, replay and random keys."""
+        """Writes the whole state: parameters, optimisers, replay and random keys; no trace is kept
+        of the devices it lay on.
+        """
         with self._manager() as manager:
             leaves = [
-                jax.random.key_data(leaf) if _is_key(leaf) else leaf
+                np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
                 for leaf in jax.tree.leaves(state)
             ]
             numbered = {f"{number:04}": leaf for number, leaf in enumerate(leaves)}

@@ -15,6 +15,8 @@ from typing import Any, NoReturn, TypeVar
 import jax
 import tyro
 
+from jaxdyna.experiments.report import cores
+
 Options = TypeVar("Options")
 
 
@@ -55,9 +57,8 @@ def use_every_core() -> None:
     """Makes each CPU core a device of its own, among which `jaxdyna.sweep` deals out the seeds.
     Without effect once JAX is in use, and on a machine with an accelerator.
     """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     with contextlib.suppress(RuntimeError):
-        jax.config.update("jax_num_cpu_devices", cores or 1)
+        jax.config.update("jax_num_cpu_devices", cores())
 
 
 def fail(message: str, prog: str) -> NoReturn:

@@ -146,7 +146,7 @@ def solved_share(path: Path, first_solved: Mapping[str, np.ndarray]) -> None:
             label=f"{name} ({len(numbers)} runs)",
         )
     panel.set_xscale("log")
-    panel.set_xlabel("real episodes before the solving window (logarithmic)")
+    panel.set_xlabel("first real episode of the solving window (logarithmic)")
     panel.set_ylabel("share of the runs")
     panel.set_ylim(-0.02, 1.02)
     panel.legend(fontsize=8, frameon=False)

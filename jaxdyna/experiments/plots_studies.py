@@ -19,7 +19,7 @@ def solve_bars(
     Args:
         path: the PNG.
         solved_at: by setting, ``[seeds]``, infinity where unsolved.
-        limit: the number of episodes played at the most.
+        limit: what an unsolved run counts as.
         title: above the figure.
         axis: what ``solved_at`` is.
     """
@@ -47,6 +47,7 @@ def error_scatter(
     solved_at: Mapping[str, np.ndarray],
     lines: Mapping[str, float],
     limit: int,
+    hollow: Sequence[str] = (),
 ) -> None:
     """Episodes to solve against a model's error: a number a setting, with bootstrap intervals.
 
@@ -56,6 +57,7 @@ def error_scatter(
         solved_at: by setting, ``[seeds]``, unsolved at ``limit``.
         lines: levels to draw across, by name.
         limit: what an unsolved run counts as.
+        hollow: settings that are drawn hollow.
     """
     figure, panel = plt.subplots(figsize=(9.5, 4.8))
     for number, (name, values) in enumerate(error.items(), start=1):
@@ -63,11 +65,13 @@ def error_scatter(
         ends = [mean_interval(part[:, None])[:, 0] for part in (values, solved_at[name])]
         panel.plot(ends[0], [y, y], color="#0f7b6c", alpha=0.5, linewidth=1)
         panel.plot([x, x], ends[1], color="#0f7b6c", alpha=0.5, linewidth=1)
-        panel.plot(x, y, "o", color="#0f7b6c", markersize=5, label=f"{number}  {name}")
+        fill = "white" if name in hollow else "#0f7b6c"
+        panel.plot(x, y, "o", color="#0f7b6c", markerfacecolor=fill, markersize=5, zorder=3,
+                   label=f"{number}  {name}")  # fmt: skip
         panel.annotate(str(number), (x, y), (4, 4), textcoords="offset points", fontsize=8)
     for name, level in lines.items():
         panel.axhline(level, color="#c0392b", linewidth=1, linestyle="--")
-        panel.text(0.005, level, name, color="#c0392b", fontsize=7, va="bottom",
+        panel.text(0.995, level, name, color="#c0392b", fontsize=7, va="bottom", ha="right",
                    transform=panel.get_yaxis_transform())  # fmt: skip
     panel.set_xscale("log")
     panel.set_xlabel("unexplained share of a step's change (logarithmic)")

@@ -54,11 +54,18 @@ def describe_arm(curves: Curves, rule: SolveRule) -> Results:
         "episodes_to_solve": summarise(solved_at, at_least=episodes + 1),
         "first_solved": summarise(first, at_least=first_possible),
         "real_steps_to_solve": summarise(steps, at_least=steps_at_least),
+        "first_at_threshold": summarise(_first_at(curves["real_return"], rule.threshold)),
         "final_return": summarise(last, solved),
         "solved_and_held": int((solved & (held >= rule.threshold)).sum()),
         "episodes_played": int(episodes),
         "solve_rule": str(rule),
     }
+
+
+def _first_at(returns: np.ndarray, threshold: float) -> np.ndarray:
+    """Number of the first single episode at or above the threshold, infinity without one."""
+    reached = returns >= threshold
+    return np.where(reached.any(1), reached.argmax(1) + 1.0, np.inf)
 
 
 def compare(arms: Results, baseline: str) -> Results:
@@ -81,12 +88,13 @@ def whole(value: float) -> str:
 
 
 def first_dreams(curves: Curves, real_first: int) -> Results:
-    """Medians of fake and real return and length over seeds and the `FIRST_DREAMS` episodes after
-    the first ``real_first``; empty for an arm without dreams, NaN where none took place.
+    """Medians of fake and real return and length over seeds and the `FIRST_DREAMS` episodes from
+    real episode ``real_first``; empty for an arm without dreams, NaN where none took place.
     """
     if "fake_length" not in curves:
         return {}
-    after = slice(real_first, real_first + FIRST_DREAMS)
+    start = max(real_first - 1, 0)
+    after = slice(start, start + FIRST_DREAMS)
     with warnings.catch_warnings(action="ignore"):
         return {
             name: float(np.nanmedian(curves[name][:, after]))
@@ -99,6 +107,13 @@ def _per_seed(arm: Results) -> np.ndarray:
     return np.array([np.inf if value is None else value for value in values])
 
 
+def cores() -> int:
+    """CPU cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def environment() -> Results:
     """Versions and device, for ``results.json``."""
     device = jax.devices()[0]
@@ -109,7 +124,7 @@ def environment() -> Results:
             "platform": device.platform,
             "kind": device.device_kind,
             "count": jax.device_count(),
-            "cpu_cores": os.cpu_count(),
+            "cpu_cores": cores(),
         },
     }
 
@@ -134,7 +149,8 @@ def arm_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str], 
     """Header and rows of the table of arms, the paper's figure beside ours."""
     header = [
         "arm", "paper", "episodes to solve: mean", "95% interval", "median", "IQM", "solved",
-        "first solved: mean", "real steps before it: mean", "return of the last 100 played: mean",
+        "held", "first solved: median", "real steps before it: median",
+        "return of the last 100 played: mean",
     ]  # fmt: skip
     rows = []
     for name, arm in results["arms"].items():
@@ -148,25 +164,25 @@ def arm_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str], 
                 number(solve, "median"),
                 number(solve, "iqm"),
                 f"{solve['solved']}/{solve['seeds']}",
-                number(arm["first_solved"]),
-                number(arm["real_steps_to_solve"]),
+                f"{arm['solved_and_held']}/{solve['seeds']}",
+                number(arm["first_solved"], "median"),
+                number(arm["real_steps_to_solve"], "median"),
                 number(arm["final_return"], digits=1),
             ]
         )
     return header, rows
 
 
-def quantile_table(results: Results) -> tuple[list[str], list[list[str]]]:
-    """Quantiles of ``first_solved`` over the runs of each arm."""
-    header = ["arm", *(f"{percent}%" for percent in QUANTILES), "latest", "solved", "held"]
+def quantile_table(results: Results, figure: str) -> tuple[list[str], list[list[str]]]:
+    """Quantiles of an arm's figure, such as ``first_solved``, over its runs."""
+    header = ["arm", *(f"{percent}%" for percent in QUANTILES), "latest"]
     rows = []
     for name, arm in results["arms"].items():
-        values = arm["first_solved"]["per_seed"]
+        values = arm[figure]["per_seed"]
         first = np.array([np.inf if value is None else value for value in values])
         marks = np.percentile(first, [*QUANTILES, 100], method="inverted_cdf")
-        shown = ["unsolved" if np.isinf(mark) else f"{mark:.0f}" for mark in marks]
-        counts = (arm["first_solved"]["solved"], arm["solved_and_held"])
-        rows.append([name, *shown, *(f"{count}/{len(first)}" for count in counts)])
+        shown = ["never" if np.isinf(mark) else f"{mark:,.0f}" for mark in marks]
+        rows.append([name, *shown])
     return header, rows
 
 
@@ -174,10 +190,8 @@ def short_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str]
     """The same for the terminal: what fits 80 columns."""
     _, rows = arm_table(results, paper)
     header = ["arm", "paper", "episodes to solve", "median", "first", "solved", "last 100"]
-    first = [number(arm["first_solved"], "median") for arm in results["arms"].values()]
     return header, [
-        [row[0], row[1], f"{row[2]} ({row[3]})", row[4], begun, row[6], row[9]]
-        for row, begun in zip(rows, first, strict=True)
+        [row[0], row[1], f"{row[2]} ({row[3]})", row[4], row[8], row[6], row[10]] for row in rows
     ]
 
 

@@ -25,6 +25,7 @@ from jaxdyna.experiments.report import (
 )
 from jaxdyna.experiments.run import Arm, ArmRun, Runner
 from jaxdyna.experiments.storage import (
+    MANY_SEEDS,
     plain,
     read_curves,
     slim,
@@ -71,6 +72,7 @@ class Session:
         keys: random keys ``[seeds]``.
         report: the experiment's own part of the report.
         block: see `jaxdyna.experiments.run.Runner`.
+        slim_above: runs of an arm above which less is kept of each, see `storage.slim`.
     """
 
     experiment: str
@@ -82,6 +84,7 @@ class Session:
     keys: jax.Array
     report: Report
     block: int | None = None
+    slim_above: int = MANY_SEEDS
     console: Console = field(default_factory=lambda: Console(highlight=False))
 
     def run(self, arms: Mapping[str, Arm]) -> int:
@@ -136,7 +139,9 @@ class Session:
                 done = runner.run(name, arm, resume=self.options.resume)
                 bars.add_note(name, "judging the model")
                 key = jax.random.fold_in(jax.random.key(self.options.seed), 1)
-                curves[name] = slim(done.metrics | self.report.analyse(arm, done, key))
+                curves[name] = slim(
+                    done.metrics | self.report.analyse(arm, done, key), self.slim_above
+                )
                 self._timing[name] = {"compile_s": done.compile_s, "run_s": done.run_s}
                 self._write(curves, figures=False)
                 bars.add_note(name)
@@ -168,7 +173,10 @@ class Session:
         self._timing = timing["arms"]
         if results["command"] != self._command:
             self._command = f"{results['command']} && {self._command} --resume"
-        return {name: slim(arm) for name, arm in read_curves(self.out / "curves.npz").items()}
+        return {
+            name: slim(arm, self.slim_above)
+            for name, arm in read_curves(self.out / "curves.npz").items()
+        }
 
     def _as_typed(self) -> str:
         from_start = [argument for argument in self.argv if argument != "--resume"]

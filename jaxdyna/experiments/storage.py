@@ -18,12 +18,12 @@ SUMS = (
 )  # fmt: skip
 
 
-def slim(curves: Curves) -> dict[str, np.ndarray]:
-    """What is kept of more than `MANY_SEEDS` runs, so that 1,000 of them fit a repository: the sums
+def slim(curves: Curves, above: int = MANY_SEEDS) -> dict[str, np.ndarray]:
+    """What is kept of more than ``above`` runs, so that 1,000 of them fit a repository: the sums
     of `jaxdyna.models.evaluation.one_step_sums` become one ``model_error`` an episode: the squared
     error over the mean square of a step's change, averaged over the state's variables.
     """
-    if len(curves["real_return"]) <= MANY_SEEDS:
+    if len(curves["real_return"]) <= above:
         return dict(curves)
     kept = {name: values for name, values in curves.items() if name not in (*SUMS, "agent_loss")}
     if "state_error" in curves:

@@ -82,7 +82,10 @@ class Variants:
         options = cli.parse({self.default.preset: self.default}, argv, self.prog)
         if options.preset != self.default.preset:
             cli.fail(f"--preset is {options.preset}: there is {self.default.preset}", self.prog)
-        arms = self.make(options)
+        try:
+            arms = self.make(options)
+        except ValueError as error:
+            cli.fail(str(error), self.prog)
         unknown = sorted(set(options.arms) - set(arms))
         if unknown:
             there_are = "; ".join(arms)
@@ -97,6 +100,7 @@ class Variants:
             keys=jax.random.split(jax.random.key(options.seed), options.seeds),
             report=(self.report or VariantsReport)(self, options),
             block=self.block,
+            slim_above=0,
         )
         return session.run({name: arms[name] for name in options.arms or arms})
 
@@ -136,7 +140,7 @@ class VariantsReport:
         solved_at = {name: self.solved_at(values) for name, values in curves.items()}
         axis = self.variants.column.replace("_", " ")
         plots_studies.solve_bars(
-            out / "variants.png", solved_at, self.limit - 1, self.variants.title, axis
+            out / "variants.png", solved_at, self.limit, self.variants.title, axis
         )
 
     def markdown(self, results: Results) -> str:
