@@ -47,8 +47,13 @@ def collect(key: Key, episodes: int, steps: int) -> FrameReplay:
         lambda leaf: jax.ShapeDtypeStruct(leaf.shape[2:], leaf.dtype), jax.eval_shape(play, key)
     )
     empty = frame_replay.init(episodes * steps, episodes, example)
-    keys = jax.random.split(key, episodes)
-    return jax.lax.scan(lambda held, key: (frame_replay.add(held, play(key)), None), empty, keys)[0]
+
+    def more(carry: tuple[FrameReplay, Key], _: None) -> tuple[tuple[FrameReplay, Key], None]:
+        held, key = carry
+        key, key_play = jax.random.split(key)
+        return (frame_replay.add(held, play(key_play)), key), None
+
+    return jax.lax.scan(more, (empty, key), length=episodes)[0][0]
 
 
 def make_study(options: Options, arm: str) -> Callable[[Key, Any], Judgement]:
@@ -110,8 +115,12 @@ def judge(options: Options, arm: str, params: Any, new: Transition, key: Key) ->
     model = pixels((16, 16, 3), ENV.num_actions, config)
     drawing = pixels((16, 16, 3), ENV.num_actions, replace(config, threshold=None))
     believe = frame_probability(ENV.num_actions, config)
-    keys = jax.random.split(key_reward, options.held_out)
-    totals = jax.lax.map(lambda both: _one_step(model, believe, params, *both), (new, keys))
+
+    def one_by_one(key: Key, episode: Transition) -> tuple[Key, Judgement]:
+        key, key_now = jax.random.split(key)
+        return key, _one_step(model, believe, params, episode, key_now)
+
+    totals = jax.lax.scan(one_by_one, key_reward, new)[1]
     judgement = jax.tree.map(lambda leaf: leaf.sum(0), totals)
     span = slice(DREAM_FROM, DREAM_FROM + options.horizon)
     truth = new.next_obs[:, span, ..., -3:]

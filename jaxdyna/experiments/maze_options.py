@@ -26,7 +26,9 @@ class Training:
     batch: int = 32
     """Transitions in each."""
     learning_rate: float = 5e-3
-    """Adam's at the start; it falls to 0 along half a cosine."""
+    """Adam's at the start; it falls to 0 along half a cosine within the updates."""
+    weight_decay: float = 0.0
+    """Of AdamW (Loshchilov and Hutter 2019); 0 is Adam."""
     rare_share: float | None = 0.25
     """Share of each batch drawn from transitions whose reward is not 0; None: as they come."""
 
@@ -35,6 +37,8 @@ class Training:
             raise ValueError(f"{self.updates} updates of {self.batch}: both must be at least 1")
         if not 0 < self.learning_rate < float("inf"):
             raise ValueError(f"the learning rate is {self.learning_rate}: it must be above 0")
+        if not 0 <= self.weight_decay < float("inf"):
+            raise ValueError(f"weight_decay is {self.weight_decay}: it must be 0 or more")
         if self.rare_share is not None and not 0 <= self.rare_share <= 1:
             raise ValueError(f"rare_share is {self.rare_share}: it must lie in [0, 1], or be None")
 
@@ -79,7 +83,7 @@ class Options:
     """New episodes that models are judged on."""
     horizon: int = 50
     """Steps of an open-loop dream."""
-    paper: Training = field(default_factory=lambda: Training(6000, 64, 5e-3, None))
+    paper: Training = field(default_factory=lambda: Training(4000, 32, 2e-3, 0.4, None))
     """Training of the paper's model."""
     lean: Training = field(default_factory=Training)
     """Training of ours."""
@@ -121,9 +125,9 @@ QUICK: dict[str, Any] = {
     "held_out": 5,
     "widths": (8, 8, 8),
     "dense": 128,
-    "lean_widths": (16, 16),
-    "paper": Training(500, 32, 5e-3, None),
-    "lean": Training(500, 32, 1e-2),
+    "lean_widths": (32, 32),
+    "paper": Training(500, 32, 5e-3, 0.4, None),
+    "lean": Training(800, 32, 1e-2),
 }
 
 
@@ -137,7 +141,8 @@ def config_of(options: Options, arm: str) -> PixelConfig:
     ours, and L1 and L2, whose outputs are no probabilities.
     """
     loss = {"l1": l1, "l2": l2}.get(arm.partition("_")[2], bce)
-    optimizer = cosine_adam(training_of(options, arm).updates)
+    training = training_of(options, arm)
+    optimizer = cosine_adam(training.updates, training.weight_decay)
     if arm.startswith("paper"):
         coder = EncoderDecoder(3, tuple(options.widths), dense=options.dense)
         threshold = 0.2 if loss is bce else 0.5
@@ -147,10 +152,13 @@ def config_of(options: Options, arm: str) -> PixelConfig:
 
 
 @cache
-def cosine_adam(updates: int) -> Any:
-    """Adam (Kingma and Ba 2015) whose learning rate falls to 0 within ``updates``."""
-    return partial(_cosine_adam, updates)
+def cosine_adam(updates: int, weight_decay: float) -> Any:
+    """AdamW whose learning rate falls to 0 within ``updates``, along half a cosine."""
+    return partial(_cosine_adam, updates, weight_decay)
 
 
-def _cosine_adam(updates: int, learning_rate: Any) -> optax.GradientTransformation:
-    return optax.adam(optax.cosine_decay_schedule(learning_rate, updates))
+def _cosine_adam(
+    updates: int, weight_decay: float, learning_rate: Any
+) -> optax.GradientTransformation:
+    schedule = optax.cosine_decay_schedule(learning_rate, updates)
+    return optax.adamw(schedule, weight_decay=weight_decay)

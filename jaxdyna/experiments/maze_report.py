@@ -204,7 +204,8 @@ def _setting(options: Options, arm: str) -> str:
     )
     return (
         f"{network} with {widths} channels, {training.updates:,} updates on batches of "
-        f"{training.batch}{share}, Adam from {training.learning_rate:g} down along a cosine, "
+        f"{training.batch}{share}, Adam from {training.learning_rate:g} down along a cosine with "
+        f"weight decay {training.weight_decay:g}, "
         f"lit above {config.threshold:g}, reward by {type(config.reward).__name__}"
     )
 

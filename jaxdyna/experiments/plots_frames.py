@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from PIL import Image, ImageDraw
 
 from jaxdyna.experiments.plots import COLOURS, mean_interval, save
@@ -70,8 +71,8 @@ def score_by_threshold(
         panel.set_xlabel("threshold (dot: the one used)")
         panel.set_ylim(-0.02, 1.02)
     panels[0].set_ylabel("F1 on held-out episodes")
-    panels[-1].legend(fontsize=8, frameon=False)
-    save(figure, path)
+    _legend_above(figure, panels[0])
+    save(figure, path, top=0.9)
 
 
 def score_by_horizon(path: Path, scores: Mapping[str, np.ndarray], classes: Sequence[str]) -> None:
@@ -91,8 +92,8 @@ def score_by_horizon(path: Path, scores: Mapping[str, np.ndarray], classes: Sequ
         panel.set_xlabel("dreamed steps")
         panel.set_ylim(-0.02, 1.02)
     panels[0].set_ylabel("F1 on held-out episodes")
-    panels[0].legend(fontsize=7, frameon=False, loc="lower left")
-    save(figure, path)
+    _legend_above(figure, panels[0])
+    save(figure, path, top=0.9)
 
 
 def film(path: Path, columns: Mapping[str, np.ndarray]) -> None:
@@ -120,6 +121,11 @@ def _captioned(frame: np.ndarray, caption: str) -> np.ndarray:
     head = Image.new("RGB", (big.shape[1], 18), "white")
     ImageDraw.Draw(head).text((2, 3), caption, fill="black")
     return np.concatenate([np.asarray(head), big])
+
+
+def _legend_above(figure: Figure, panel: Axes) -> None:
+    handles, labels = panel.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper center", ncols=4, fontsize=8, frameon=False)
 
 
 def _show(panel: Axes, picture: np.ndarray) -> None:
