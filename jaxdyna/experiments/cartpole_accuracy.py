@@ -157,9 +157,8 @@ step ahead, over the first {JUDGED_EPISODES} episodes with dreams. Every model i
 new transitions: a third each from a controller that balances the pole, from one with 30% of its
 actions at random, and from random actions alone. Rank correlation of mean error and mean episodes
 to solve over {len(errors)} models (shorter dreams apart, hollow in the figure, which are no error):
-{rank:.2f} (95% interval over seeds {low:.2f} to {high:.2f}; a percentile bootstrap leans low here,
-because every resampling shuffles ranks that lie close). 1 would be the paper's claim without
-exception.
+{rank:.2f} (95% percentile bootstrap over seeds {low:.2f} to {high:.2f}). 1 would be the paper's
+claim without exception.
 """
         return super().markdown(results) + text
 
