@@ -1,6 +1,6 @@
 """jaxdyna: does a learned model of the environment make reinforcement learning sample-efficient?
 
-Importing it registers ``jaxdyna/CartPole-v0`` and ``-v1`` with Gymnasium.
+Importing it registers ``jaxdyna/CartPole-v0``, ``-v1`` and ``jaxdyna/Maze-v0`` with Gymnasium.
 """
 
 from jaxdyna import envs as envs

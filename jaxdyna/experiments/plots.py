@@ -58,7 +58,13 @@ def learning_curves(
         said += f", mean after {solved.mean():.0f}" if len(solved) == len(solved_at[name]) else ""
         panel.set_title(f"({letter}) {name}: {said}", loc="left", fontsize=10)
         panel.set_xlabel("real episodes")
-        panel.legend(loc="lower right", fontsize=8, framealpha=0.85, edgecolor="none")
+        low = values[:, -1].mean() < threshold / 2
+        panel.legend(
+            loc="center right" if low else "lower right",
+            fontsize=8,
+            framealpha=0.85,
+            edgecolor="none",
+        )
     panels[0, 0].set_ylabel(f"return (running mean of {window} episodes)")
     save(figure, path)
 
