@@ -87,8 +87,9 @@ class LocalDynamics(nn.Module):
 
 class EncoderDecoder(nn.Module):
     """The paper's Fig. 4 (Oh et al. 2015): convolutions and a dense layer, the Hadamard product
-    with the action's features, a dense layer and transposed convolutions back. BatchNorm after
-    every layer but the first and the last, ReLU.
+    with the action's features, a dense layer and transposed convolutions back. ReLU, and BatchNorm
+    after every layer but the first, the last and the product's two factors, which are linear as in
+    the paper's equation ``W_dec (W_enc h * W_a a) + b``.
 
     Attributes:
         channels: of the picture that is predicted.

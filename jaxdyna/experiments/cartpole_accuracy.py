@@ -72,7 +72,8 @@ def common_transitions(count: int = 400) -> Transition:
         return rollout(env, act, key, env.default_params, 20)
 
     keys = jax.random.split(jax.random.key(2**20), len(COMMON))
-    parts = [play(share, key) for share, key in zip(COMMON, keys, strict=True)]
+    play_jitted = jax.jit(play)
+    parts = [play_jitted(share, key) for share, key in zip(COMMON, keys, strict=True)]
     parts = [jax.tree.map(lambda leaf, p=part: np.asarray(leaf)[np.asarray(p.mask)], part)
              for part in parts]  # fmt: skip
     chosen = np.random.default_rng(0)
