@@ -1,5 +1,6 @@
 """The Maze's model experiment: command line, report, resume."""
 
+import contextlib
 import json
 
 import jax
@@ -33,18 +34,20 @@ def finished(tmp_path_factory):
 def made_up_study(options, arm):
     """Counts of the right shapes that tell arm, key and stage apart, and train nothing."""
 
-    def study(key, stage):
-        drawn = jax.random.uniform(key, (19, 3, 3)) * stage * len(arm)
+    def advance(run, stage, _):
+        key, before = run
+        drawn = jax.random.uniform(key, (19, 3, 3)) * (stage + before) * len(arm)
         dream = jnp.tile(drawn[:1], (options.horizon, 1, 1))
         frames = jnp.full((4, 16, 16, 3), 100, jnp.uint8)
-        return {
+        key = jax.random.clone(key)
+        return (key, before + stage), {
             "one_step": drawn, "mass": drawn[0, :, :2] + 1, "reward": drawn[0, :, :2].astype(int),
             "dream_lit": dream, "dream_drawn": dream, "seen": jnp.tile(frames, (1, 1, 1, 4)),
             "truth": frames, "belief": frames / 255, "film_truth": frames, "film_dream": frames,
             "last_loss": drawn.sum(),
         }  # fmt: skip
 
-    return study
+    return maze_model.Study(lambda key, _: (key, jnp.int32(0)), advance)
 
 
 def test_it_leaves_a_table_and_figures(finished):
@@ -81,13 +84,19 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, monkeypatch):
     part = tmp_path / "part"
     assert play(part, *arms) == 130
     assert set(read_curves(part / "curves.npz")) == {"paper@2", "paper@6"}
+    monkeypatch.setattr(maze, "deferred_interrupt", lambda: contextlib.nullcontext([2]))
+    assert play(part, *arms, "--resume") == 130  # within an arm, between two stages
+    assert set(read_curves(part / "curves.npz")) == {"paper@2", "paper@6", "lean@2"}
+    monkeypatch.undo()
+    monkeypatch.setattr(maze, "make_study", interrupting)
     with pytest.raises(SystemExit) as stop:
         play(part, *arms, "--resume", "--steps", "31")
     assert stop.value.code == 2
     assert play(part, *arms, "--resume") == 0
-    assert made == ["paper", "lean", "lean", "lean_l2"]
+    assert made == ["paper", "lean", "lean", "lean", "lean_l2"]
+    assert not (part / "checkpoints").exists()
     ours, whole = (read_curves(tmp_path / name / "curves.npz") for name in ("part", "whole"))
-    assert set(whole) == {"paper@2", "paper@6", "lean@2", "lean@6", "lean_l2@6"}
+    assert set(whole) == {"paper@2", "paper@6", "lean@2", "lean@6", "lean_l2@2", "lean_l2@6"}
     assert_same(ours, whole)
 
 
@@ -131,8 +140,8 @@ def test_counts_by_hand():
 def test_presets_and_stages():
     options = Options(episodes=120)
     assert options.played_stages == (10, 30, 100)
-    assert options.stages_of("paper_l1") == (100,)
-    assert Options(episodes=40).stages_of("lean_l2") == (30,)
+    assert options.stages_of("paper_l1") == (10, 30, 100)
+    assert Options(ablation_stage=20).stages_of("lean_l2") == (10,)
 
 
 def test_a_trail_shows_the_newest_frame_brightest():

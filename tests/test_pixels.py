@@ -128,8 +128,8 @@ def test_the_encoder_decoder_is_symmetric_and_normalised():
         if name.startswith("Convolution")
     ]  # fmt: skip
     assert [kernel[0] for kernel in kernels] == [5, 4, 4, 4, 4, 5]
-    # 2 + 2 convolutions and the dense layer back; the factors of the product are linear.
-    assert len(variables["batch_stats"]) == 5
+    # 2 + 2 convolutions and the dense layer on either side of the product.
+    assert len(variables["batch_stats"]) == 6
     raw, joint = jax.eval_shape(
         lambda v: network.apply(v, jnp.zeros((2, 16, 16, 12)), jnp.zeros((2, 5)), False), variables
     )

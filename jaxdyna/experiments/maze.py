@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -16,11 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
-from jaxdyna import sweep
 from jaxdyna.experiments import cli, maze_report, report
+from jaxdyna.experiments.checkpoint import Checkpoints
 from jaxdyna.experiments.maze_model import make_study
 from jaxdyna.experiments.maze_options import PRESETS, QUICK, Options
 from jaxdyna.experiments.progress import Bars
@@ -33,6 +35,7 @@ from jaxdyna.experiments.storage import (
     write_json,
     write_text,
 )
+from jaxdyna.sweep import make_pieces
 
 PROG = "python -m jaxdyna.experiments.maze"
 NOT_SETTINGS = ("arms", "out", "resume")
@@ -54,6 +57,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         curves, timing, earlier_s = _resume(options, out) if options.resume else ({}, {}, 0.0)
     except ValueError as error:
         cli.fail(str(error), PROG)
+    if not options.resume:
+        shutil.rmtree(out / "checkpoints", ignore_errors=True)
     typed = [argument for argument in arguments if argument != "--resume"]
     begun = time.perf_counter() - earlier_s
 
@@ -63,10 +68,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     console = Console(highlight=False)
     code = 0
     try:
-        for name, judged in _play(options, console, curves, timing):
+        for name, judged in _play(options, out, console, curves, timing):
             curves[name] = judged
             write_curves(out / "curves.npz", curves)
             write_json(out / "results.json", results())
+        shutil.rmtree(out / "checkpoints", ignore_errors=True)
     except KeyboardInterrupt:
         code = 130
         console.print(
@@ -82,9 +88,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
-def _play(options: Options, console: Console, curves: Curves, timing: Timing) -> Any:
+def _play(options: Options, out: Path, console: Console, curves: Curves, timing: Timing) -> Any:
     """Yields ``ARM@STAGE`` and its judgements ``[seeds, ...]`` for all that is not there yet."""
-    block = 1 if jax.default_backend() == "cpu" else None
     stages = {arm: options.stages_of(arm) for arm in dict.fromkeys(options.arms)}
     missing = {
         arm: [stage for stage in played if f"{arm}@{stage}" not in curves]
@@ -99,23 +104,44 @@ def _play(options: Options, console: Console, curves: Curves, timing: Timing) ->
         for arm in (arm for arm in stages if missing[arm]):
             spent = timing.setdefault(arm, {"compile_s": 0.0, "run_s": 0.0})
             bars.advance(arm, totals[arm] - len(missing[arm]), "compiling")
-            study = make_study(options, arm)
-            keys = jax.random.split(jax.random.key(options.seed), options.seeds)
+            checkpoints = Checkpoints(out / "checkpoints" / arm)
             began = time.perf_counter()
-            program = jax.jit(lambda keys, stage, study=study: sweep(study, keys, stage, block))
-            compiled = program.lower(keys, missing[arm][0]).compile()
+            state, proceed = _compile(options, arm)
+            finished = totals[arm] - len(missing[arm])
+            if finished and checkpoints.exists():
+                state, [saved], _ = checkpoints.load(state)
+                finished = 1 + stages[arm].index(saved["stage"])
+            else:
+                finished = 0
+            missing[arm] = list(stages[arm][finished:])
             spent["compile_s"] += time.perf_counter() - began
             for stage in missing[arm]:
                 bars.advance(arm, stages[arm].index(stage), f"{stage} episodes")
                 began = time.perf_counter()
-                judged = jax.tree.map(lambda leaf: np.asarray(leaf[0]), compiled(keys, stage))
+                state, judged = proceed(state, stage, jnp.float32(0))
+                judged = jax.tree.map(lambda leaf: np.asarray(leaf[0]), judged)
                 spent["run_s"] += time.perf_counter() - began
                 for name in OF_THE_FIRST_SEED:
                     judged[name] = judged[name][0]
                 yield f"{arm}@{stage}", judged
+                if stage != stages[arm][-1]:
+                    checkpoints.save(stage, state, {"stage": np.array(stage)}, spent["run_s"])
                 if interrupted:
                     raise KeyboardInterrupt
+            shutil.rmtree(checkpoints.directory, ignore_errors=True)
             bars.advance(arm, totals[arm], "")
+
+
+def _compile(options: Options, arm: str) -> tuple[Any, Any]:
+    """The runs before their first stage, and what plays a stage of them."""
+    study = make_study(options, arm)
+    block = 1 if jax.default_backend() == "cpu" else None
+    start, proceed = make_pieces(study.init, study.advance, block)
+    keys = jax.random.split(jax.random.key(options.seed), options.seeds)
+    nothing_swept = jnp.float32(0)
+    state = start(keys, nothing_swept)
+    program: Any = proceed
+    return state, program.lower(state, options.stages_of(arm)[0], nothing_swept).compile()
 
 
 def _resume(options: Options, out: Path) -> tuple[Curves, Timing, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxdyna import frame_replay
 from jaxdyna.envs import FrameStack, Maze, MazeParams
-from jaxdyna.experiments.maze_options import Options, config_of, training_of
+from jaxdyna.experiments.maze_options import Options, Training, config_of, training_of
 from jaxdyna.frame_replay import FrameReplay
 from jaxdyna.models import PixelHParams, frame_probability, pixels
 from jaxdyna.models.evaluation import open_loop
@@ -56,41 +56,68 @@ def collect(key: Key, episodes: int, steps: int) -> FrameReplay:
     return jax.lax.scan(more, (empty, key), length=episodes)[0][0]
 
 
-def make_study(options: Options, arm: str) -> Callable[[Key, Any], Judgement]:
-    """``study(key, stage) -> judgement``: trains the arm's model on the first ``stage`` episodes
-    (traced: every stage is the same program) and judges it. A key gives the same episodes, and the
-    same ones held out, to every arm and stage.
+class Study(NamedTuple):
+    """An arm's training from stage to stage, for `jaxdyna.sweep.make_pieces`.
+
+    Attributes:
+        init: ``(key, hparams) -> state``: a run before its first stage.
+        advance: ``(state, stage, hparams) -> (state, judgement)``: goes on training the model on
+            the first ``stage`` episodes (traced: every stage is the same program), and judges it.
     """
+
+    init: Callable[[Key, Any], Any]
+    advance: Callable[[Any, Any, Any], tuple[Any, Judgement]]
+
+
+def make_study(options: Options, arm: str) -> Study:
+    """A key gives the same episodes, and the same ones held out, to every arm and stage."""
     config, training = config_of(options, arm), training_of(options, arm)
     model = pixels((16, 16, 3), ENV.num_actions, config)
     hparams = PixelHParams(training.learning_rate)
 
-    def study(key: Key, stage: Any) -> Judgement:
-        key_data, key_init, key_train, key_new, key_judge = jax.random.split(key, 5)
+    def init(key: Key, _: Any) -> Any:
+        key, key_init = jax.random.split(key)
+        return key, model.init(key_init, hparams)
+
+    def advance(run: Any, stage: Any, _: Any) -> Any:
+        key, state = run
+        key_data, key_new, key_stage = jax.random.split(jax.random.clone(key), 3)
+        key_train, key_judge = jax.random.split(jax.random.fold_in(key_stage, stage))
         held = collect(key_data, options.episodes, options.steps)
         # Every episode lasts to its horizon: this is the replay as it was after so many of them.
         held = replace(
             held, added=stage * options.steps, episodes_added=jnp.asarray(stage, jnp.int32)
         )
-        weight = None
-        if training.rare_share is not None:
-            weight = share_weight(held.held, held.rest["reward"] != 0, training.rare_share)
-
-        def update(carry: Any, _: Any) -> Any:
-            state, key = carry
-            key, key_sample, key_update = jax.random.split(key, 3)
-            batch = frame_replay.sample(held, key_sample, (training.batch,), weight)
-            state, losses = model.update(state, batch, key_update, hparams)
-            return (state, key), losses["frame_loss"]
-
-        start = (model.init(key_init, hparams), key_train)
-        (state, _), losses = jax.lax.scan(update, start, length=training.updates)
+        state, losses = _train(model, training, hparams, held, state, key_train)
         params = MazeParams(max_steps=options.steps)
         new = rollout(ENV, random_act, key_new, params, options.held_out, num_steps=options.steps)
-        last = losses[-min(100, training.updates) :].mean()
-        return judge(options, arm, state.params, new, key_judge) | {"last_loss": last}
+        return (key, state), judge(options, arm, state.params, new, key_judge) | losses
 
-    return study
+    return Study(init, advance)
+
+
+def _train(
+    model: DynamicsModel,
+    training: Training,
+    hparams: PixelHParams,
+    held: FrameReplay,
+    state: Any,
+    key: Key,
+) -> tuple[Any, Judgement]:
+    """The updates of one stage; returns the model's state and its loss at the end."""
+    weight = None
+    if training.rare_share is not None:
+        weight = share_weight(held.held, held.rest["reward"] != 0, training.rare_share)
+
+    def update(carry: Any, _: Any) -> Any:
+        state, key = carry
+        key, key_sample, key_update = jax.random.split(key, 3)
+        batch = frame_replay.sample(held, key_sample, (training.batch,), weight)
+        state, losses = model.update(state, batch, key_update, hparams)
+        return (state, key), losses["frame_loss"]
+
+    (state, _), losses = jax.lax.scan(update, (state, key), length=training.updates)
+    return state, {"last_loss": losses[-min(100, training.updates) :].mean()}
 
 
 def judge(options: Options, arm: str, params: Any, new: Transition, key: Key) -> Judgement:
