@@ -2,21 +2,23 @@
 
 What `jaxdyna.replay` would store of a transition, two stacks, holds each frame eight times where a
 stack is four deep. Here a transition keeps only the newest frame of its ``obs``; its older frames
-are found with the transitions before it, and the frame after its action with the one that follows,
-or for the last transition of an episode in a small store of last frames.
+are found with the transitions before it, and the frame after its action with the one that follows.
+What an episode lacks, the frames before its first and the one after its last, has a small store of
+its own, so that a dream that branched off from the middle of a real episode is held as well.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from jaxdyna.replay import draw
-from jaxdyna.types import Key, Transition
+from jaxdyna.replay import draw, share_weight
+from jaxdyna.types import Key, Memory, Transition
 
 
 @struct.dataclass
@@ -25,10 +27,11 @@ class FrameReplay:
 
     Attributes:
         frame: the newest frame of ``obs``, ``[capacity, H, W, C]``, in the frames' own type.
-        rest: everything else of a transition: action, reward, terminated, truncated,
-            ``[capacity]``.
+        rest: everything else of a transition: action, reward, terminated, truncated, mask (a
+            weight where it is a float), ``[capacity]``.
         time: int32 ``[capacity]``, steps since the episode began.
         episode: int32 ``[capacity]``, its number.
+        older: the frames under each episode's first, ``[episodes, H, W, C * (num_frames - 1)]``.
         last_frame: the frame after each episode's last action, ``[episodes, H, W, C]``.
         added: int32, transitions ever added.
         episodes_added: int32, episodes ever added.
@@ -40,6 +43,7 @@ class FrameReplay:
     rest: dict[str, jax.Array]
     time: jax.Array
     episode: jax.Array
+    older: jax.Array
     last_frame: jax.Array
     added: jax.Array
     episodes_added: jax.Array
@@ -100,8 +104,10 @@ def init(capacity: int, episodes: int, example: Transition, num_frames: int = 4)
     if depth % num_frames:
         raise ValueError(f"{depth} channels are not {num_frames} frames of equal depth")
 
-    def frames(count: int) -> jax.Array:
-        return jnp.zeros((count, height, width, depth // num_frames), example.obs.dtype)
+    channels = depth // num_frames
+
+    def frames(count: int, deep: int = 1) -> jax.Array:
+        return jnp.zeros((count, height, width, channels * deep), example.obs.dtype)
 
     rest = {
         name: jnp.zeros((capacity, *leaf.shape), leaf.dtype)
@@ -113,6 +119,7 @@ def init(capacity: int, episodes: int, example: Transition, num_frames: int = 4)
         rest=rest,
         time=numbers,
         episode=numbers,
+        older=frames(episodes, num_frames - 1),
         last_frame=frames(episodes),
         added=nothing,
         episodes_added=nothing,
@@ -128,7 +135,8 @@ def bytes_per_transition(replay: FrameReplay) -> float:
 
 def add(replay: FrameReplay, episodes: Transition) -> FrameReplay:
     """Adds whole episodes ``[N, T]``, as `jaxdyna.rollout` returns them, one after the other; the
-    oldest transitions held make room.
+    oldest transitions held make room. An episode is valid up to where its mask (or weight) is
+    above zero for the last time.
 
     Raises:
         ValueError: where more could come at once than the buffer holds.
@@ -140,7 +148,8 @@ def add(replay: FrameReplay, episodes: Transition) -> FrameReplay:
             f"transitions and {replay.last_frame.shape[0]} episodes"
         )
     channels = replay.frame.shape[-1]
-    mask = episodes.mask.reshape(-1)
+    lengths = ((episodes.mask > 0) * jnp.arange(1, steps + 1)).max(1)
+    mask = (jnp.arange(steps) < lengths[:, None]).reshape(-1)
     number = replay.added + jnp.cumsum(mask) - 1
     slot = jnp.where(mask, number % replay.capacity, replay.capacity)  # out of bounds: dropped
 
@@ -149,7 +158,6 @@ def add(replay: FrameReplay, episodes: Transition) -> FrameReplay:
 
     numbers = replay.episodes_added + jnp.arange(count)
     row = numbers % replay.last_frame.shape[0]
-    lengths = episodes.mask.sum(1)
     last = jax.vmap(lambda frames, at: frames[at])(episodes.next_obs, jnp.maximum(lengths - 1, 0))
     return replace(
         replay,
@@ -157,6 +165,7 @@ def add(replay: FrameReplay, episodes: Transition) -> FrameReplay:
         rest={name: write(replay.rest[name], leaf) for name, leaf in _rest(episodes).items()},
         time=write(replay.time, jnp.broadcast_to(jnp.arange(steps), (count, steps))),
         episode=write(replay.episode, jnp.broadcast_to(numbers[:, None], (count, steps))),
+        older=replay.older.at[row].set(episodes.obs[:, 0, ..., :-channels]),
         last_frame=replay.last_frame.at[row].set(last[..., -channels:]),
         added=replay.added + mask.sum(dtype=jnp.int32),
         episodes_added=replay.episodes_added + count,
@@ -170,7 +179,7 @@ def sample(
     """Draws transitions with replacement and rebuilds their stacks.
 
     Args:
-        replay: a buffer; check ``size``, an empty one yields zeros with ``mask`` False.
+        replay: a buffer; check ``size``, an empty one yields zeros with ``mask`` zero.
         key: random key.
         shape: how many, as leading axes.
         weight: ``[capacity]``, what each position's probability is in proportion to, as
@@ -180,10 +189,13 @@ def sample(
         A `Transition` ``[*shape, ...]``, each as it was added.
     """
     if weight is None:
-        number = replay.oldest + jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
-    else:
-        number = replay._number(draw(weight, key, shape))
-    return take(replay, number)
+        return take(replay, sample_numbers(replay, key, shape))
+    return take(replay, replay._number(draw(weight, key, shape)))
+
+
+def sample_numbers(replay: FrameReplay, key: Key, shape: tuple[int, ...]) -> jax.Array:
+    """Numbers of transitions that are held, uniformly and with replacement, int32 ``[*shape]``."""
+    return replay.oldest + jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
 
 
 def take(replay: FrameReplay, number: jax.Array) -> Transition:
@@ -191,18 +203,104 @@ def take(replay: FrameReplay, number: jax.Array) -> Transition:
     be held (`FrameReplay.oldest` up to ``added``).
     """
     slot = number % replay.capacity
-    time, episode = replay.time[slot], replay.episode[slot]
-    ages = jnp.arange(replay.num_frames - 1, -1, -1)
-    back = jnp.minimum(ages, time[..., None])
-    frames = replay.frame[(number[..., None] - back) % replay.capacity]
+    row = replay.episode[slot] % replay.last_frame.shape[0]
+    frames = _frames_of(replay, number, slot, row)
     following = replay.frame[(number + 1) % replay.capacity]
     ended = (replay.rest["terminated"] | replay.rest["truncated"])[slot]
-    last = replay.last_frame[episode % replay.last_frame.shape[0]]
-    after = jnp.where(ended[..., None, None, None], last, following)
+    after = jnp.where(ended[..., None, None, None], replay.last_frame[row], following)
     later = jnp.concatenate([frames[..., 1:, :, :, :], after[..., None, :, :, :]], axis=-4)
     rest = {name: leaf[slot] for name, leaf in replay.rest.items()}
-    mask = jnp.broadcast_to(replay.size > 0, slot.shape)
-    return Transition(obs=_stack(frames), next_obs=_stack(later), mask=mask, **rest)
+    rest["mask"] = jnp.where(replay.size > 0, rest["mask"], 0).astype(rest["mask"].dtype)
+    return Transition(obs=_stack(frames), next_obs=_stack(later), **rest)
+
+
+def _frames_of(
+    replay: FrameReplay, number: jax.Array, slot: jax.Array, row: jax.Array
+) -> jax.Array:
+    """The frames of these transitions' ``obs``, ``[..., num_frames, H, W, C]``."""
+    deepest = replay.num_frames - 1
+    ages = jnp.arange(deepest, -1, -1)
+    frames = replay.frame[(number[..., None] - ages) % replay.capacity]
+    if deepest == 0:
+        return frames
+    older = replay.older[row]
+    older = older.reshape(*older.shape[:-1], deepest, replay.frame.shape[-1])
+    # At time t a stack's frame j is number t + j of the episode's, its first stack included.
+    place = replay.time[slot][..., None] + jnp.arange(deepest + 1)
+    early = jnp.take_along_axis(
+        jnp.moveaxis(older, -2, -4),
+        jnp.minimum(place, deepest - 1)[..., None, None, None],
+        axis=-4,
+    )
+    return jnp.where((place < deepest)[..., None, None, None], early, frames)
+
+
+class Window(NamedTuple):
+    """What n-step learning takes of a few successive transitions (Sutton and Barto 2018, §7.1).
+
+    Attributes:
+        first: the first of them, a `Transition` ``[...]``.
+        reward: their discounted sum, up to the end of the episode, ``[...]``.
+        last_obs: the observation after the last of them, ``[..., *obs]``.
+        discount: of the value there: ``discount ** length``, 0 where the episode terminated.
+    """
+
+    first: Transition
+    reward: jax.Array
+    last_obs: jax.Array
+    discount: jax.Array
+
+
+def take_window(
+    replay: FrameReplay, number: jax.Array, length: int, discount: jax.Array | float
+) -> Window:
+    """The windows that begin with these transitions, fewer than ``length`` long where an episode
+    ends.
+
+    Args:
+        replay: the buffer.
+        number: as `take`'s, int ``[...]``.
+        length: n.
+        discount: scalar in [0, 1].
+    """
+    first = take(replay, number)
+    if length == 1:
+        going_on = discount * (1 - first.terminated)
+        return Window(first, first.reward, first.next_obs, going_on)
+    slot = (number[..., None] + jnp.arange(length)) % replay.capacity
+    ended = (replay.rest["terminated"] | replay.rest["truncated"])[slot]
+    alive = jnp.cumsum(ended, axis=-1) - ended == 0
+    powers = discount ** jnp.arange(length)
+    reward = (replay.rest["reward"][slot] * alive * powers).sum(-1)
+    steps = alive.sum(-1)
+    last = take(replay, number + steps - 1)
+    return Window(first, reward, last.next_obs, discount**steps * (1 - last.terminated))
+
+
+def memory(rare: Callable[[dict[str, jax.Array]], jax.Array], num_frames: int = 4) -> Memory:
+    """This replay as a `jaxdyna.types.Memory`.
+
+    Args:
+        rare: from `FrameReplay.rest` to bool ``[capacity]``: which transitions are rare.
+        num_frames: frames in a stack.
+    """
+
+    def start(capacity: int, episodes: int, example: Transition) -> FrameReplay:
+        return init(capacity, episodes, example, num_frames)
+
+    def draw_some(
+        held: FrameReplay, key: Key, shape: tuple[int, ...], rare_share: float | None
+    ) -> Transition:
+        if rare_share is None:
+            return sample(held, key, shape)
+        return sample(held, key, shape, share_weight(held.held, rare(held.rest), rare_share))
+
+    def forget(held: FrameReplay, when: jax.Array) -> FrameReplay:
+        counts = (held.added, held.episodes_added, held.first)
+        added, episodes, first = (jnp.where(when, 0, count) for count in counts)
+        return replace(held, added=added, episodes_added=episodes, first=first)
+
+    return Memory(start, add, draw_some, forget)
 
 
 def _stack(frames: jax.Array) -> jax.Array:
@@ -212,5 +310,5 @@ def _stack(frames: jax.Array) -> jax.Array:
 
 
 def _rest(transitions: Transition) -> dict[str, Any]:
-    names = ("action", "reward", "terminated", "truncated")
+    names = ("action", "reward", "terminated", "truncated", "mask")
     return {name: getattr(transitions, name) for name in names}

@@ -81,11 +81,35 @@ class Agent(NamedTuple):
         update: ``(state, transitions, key, hparams) -> (state, metrics)`` from whole episodes
             ``[N, T]``, real or fake alike. ``transitions.mask`` weighs them; where it is zero
             throughout, the state comes back as it was.
+        update_fake: the same from fake episodes, for a learner that keeps the two apart; None for
+            one that does not.
     """
 
     init: Callable[[Key, Any], Any]
     act: Callable[[Any, jax.Array, Key, Any], jax.Array]
     update: Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]]
+    update_fake: Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]] | None = (
+        None
+    )
+
+
+class Memory(NamedTuple):
+    """How real transitions are kept for the model: `jaxdyna.replay.transitions`,
+    `jaxdyna.frame_replay.frames`.
+
+    Attributes:
+        init: ``(capacity, episodes, example) -> memory``: an empty one for so many transitions and
+            episodes like the example ``[...]``.
+        add: ``(memory, transitions) -> memory`` with whole episodes ``[N, T]``.
+        sample: ``(memory, key, shape, rare_share) -> transitions`` with leading axes ``shape``, a
+            share of them rare ones (the memory knows which); None draws all alike.
+        forget: ``(memory, when) -> memory``: emptied where ``when`` is true.
+    """
+
+    init: Callable[[int, int, Any], Any]
+    add: Callable[[Any, Transition], Any]
+    sample: Callable[[Any, Key, tuple[int, ...], float | None], Transition]
+    forget: Callable[[Any, jax.Array], Any]
 
 
 class Prediction(NamedTuple):

@@ -59,6 +59,48 @@ def test_stacks_come_back_as_they_were_across_the_ends_of_episodes():
     assert int(buffer.episodes_added) == 6
 
 
+def test_a_branch_remembers_what_was_seen_before_it():
+    branch = jax.tree.map(lambda leaf: leaf[:, 3:], play(0, 2))
+    parts = [branch, play(1, 1), jax.tree.map(lambda leaf: leaf[:, 1:3], play(2, 2))]
+    parts[2] = parts[2]._replace(truncated=parts[2].truncated.at[:, -1].set(True))
+    buffer = frame_replay.init(64, 20, example(branch))
+    for part in parts:
+        buffer = frame_replay.add(buffer, part)
+    assert check(buffer, parts) == 2 * 4 + 7 + 2 * 2
+
+
+def test_windows_by_hand():
+    episodes = play(3, 2, lengths=[3, 7])
+    episodes = episodes._replace(reward=jnp.arange(14.0).reshape(2, 7))
+    buffer = frame_replay.add(frame_replay.init(64, 20, example(episodes)), episodes)
+    window = frame_replay.take_window(buffer, jnp.arange(4), 3, 0.5)
+    np.testing.assert_allclose(window.reward, [0 + 0.5 + 0.5, 1 + 1, 2, 7 + 4 + 9 / 4])
+    np.testing.assert_allclose(window.discount, [0, 0, 0, 0.125])
+    assert_same(window.first, frame_replay.take(buffer, jnp.arange(4)))
+    assert_same(window.last_obs[3], episodes.next_obs[1, 2])
+    single = frame_replay.take_window(buffer, jnp.arange(4), 1, 0.5)
+    np.testing.assert_allclose(single.reward, [0, 1, 2, 7])
+    np.testing.assert_allclose(single.discount, [0.5, 0.5, 0, 0.5])
+    cut = episodes._replace(truncated=episodes.terminated, terminated=episodes.truncated)
+    buffer = frame_replay.add(frame_replay.init(64, 20, example(cut)), cut)
+    window = frame_replay.take_window(buffer, jnp.arange(3), 3, 0.5)
+    np.testing.assert_allclose(window.discount, [0.125, 0.25, 0.5])  # truncation never cuts
+
+
+def test_memory_draws_rare_transitions_and_forgets():
+    episodes = play(0, 2)
+    episodes = episodes._replace(reward=jnp.zeros((2, 7)).at[1, 3].set(1.0))
+    memory = frame_replay.memory(lambda rest: rest["reward"] > 0)
+    held = memory.add(memory.init(64, 9, example(episodes)), episodes)
+    drawn = memory.sample(held, jax.random.key(0), (400,), 0.5)
+    assert drawn.reward.mean() == pytest.approx(0.5, abs=0.08)
+    assert memory.sample(held, jax.random.key(0), (400,), None).reward.mean() < 0.2
+    emptied = memory.forget(held, jnp.bool_(True))
+    assert int(emptied.size) == 0
+    assert int(memory.add(emptied, play(1, 1)).size) == 7
+    assert int(memory.forget(held, jnp.bool_(False)).size) == 14
+
+
 def test_what_lost_its_frames_is_not_drawn():
     parts = [play(seed, 1, lengths=[length]) for seed, length in enumerate([7, 5, 2, 7, 6, 3, 7])]
     buffer = frame_replay.init(16, 20, example(parts[0]))
@@ -94,7 +136,7 @@ def test_memory_is_a_frame_and_little_more():
     big = play(0, 1)
     buffer = frame_replay.init(4000, 20, example(big))
     frame = 5 * 5 * 3
-    assert frame < frame_replay.bytes_per_transition(buffer) < frame + 20
+    assert frame < frame_replay.bytes_per_transition(buffer) < frame + 21
 
 
 def test_clear_errors():
