@@ -15,11 +15,11 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from jaxdyna import replay
+from jaxdyna import memory, replay
 from jaxdyna.conditional import where_needed
-from jaxdyna.rollout import rollout
+from jaxdyna.rollout import first_states, rollout
 from jaxdyna.settings import DynaConfig, DynaHParams
-from jaxdyna.types import Agent, DynamicsModel, Environment, Key, Transition
+from jaxdyna.types import Agent, DynamicsModel, Environment, Key, Memory, Transition
 
 Metrics = dict[str, jax.Array]
 
@@ -43,10 +43,12 @@ class Dyna(NamedTuple):
     Attributes:
         env: the real environment.
         agent: who acts.
-        model: learns from every real transition so far.
-        dream: where fake episodes are played.
+    XX: where fake episodes are played.
         diagnose: ``(model_params, transitions, key) -> metrics``: judges the model on real
             episodes ``[N, T]`` that it has not been trained on yet.
+        watch: ``(transitions, first_states, env_params) -> metrics`` of real episodes ``[N, T]``
+            and the states ``[N]`` that they began in.
+        memory: how real transitions are kept for the model.
     """
 
     env: Environment
@@ -54,6 +56,8 @@ class Dyna(NamedTuple):
     model: DynamicsModel | None = None
     dream: Dream | None = None
     diagnose: Callable[[Any, Transition, Key], Metrics] | None = None
+    watch: Callable[[Transition, Any, Any], Metrics] | None = None
+    memory: Memory = memory.transitions()
 
 
 @struct.dataclass
@@ -91,7 +95,7 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
         return DynaState(
             agent=agent,
             model=dyna.model.init(key_model, hparams.model),
-            replay=replay.init(capacity, example),
+            replay=dyna.memory.init(capacity, config.num_episodes, example),
             starts=replay.init(config.num_episodes, example.obs),
             key=key,
         )
@@ -117,6 +121,9 @@ def make_advance(
         real = _play_real(dyna, config, state.agent, key_real, hparams)
         agent, metrics = _learn_policy(dyna, config, state.agent, real, episode, key_agent, hparams)
         state = replace(state, agent=agent)
+        if dyna.watch is not None:
+            begun = first_states(dyna.env, jax.random.clone(key_real), hparams.env, 1)
+            metrics |= dyna.watch(real, begun, hparams.env)
         awake = real.terminated.any() if config.rest_when_safe else True
         if dyna.model is not None:
             key_judge, key_sample, key_update = jax.random.split(key_model, 3)
@@ -176,20 +183,16 @@ def _remember(dyna, config, state, real, episode, key) -> tuple[DynaState, Metri
         metrics = dyna.diagnose(state.model.params, real, key)
     held = state.replay
     if config.forget_every:
-        start_of_block = episode % config.forget_every == 0
-        held = replace(held, added=jnp.where(start_of_block, 0, held.added))
-    held = replay.add(held, real, real.mask)
+        held = dyna.memory.forget(held, episode % config.forget_every == 0)
+    held = dyna.memory.add(held, real)
     starts = replay.add(state.starts, real.obs[:, 0], real.mask[:, 0])
     return replace(state, replay=held, starts=starts), metrics
 
 
 def _train_model(dyna, config, state, key_sample, key_update, hparams) -> tuple[Any, Metrics]:
     """Gradient steps on all that is stored; returns the model's new state."""
-    held, weight = state.replay, None
-    if config.terminal_share is not None:
-        weight = replay.share_weight(held.held, held.data.terminated, config.terminal_share)
     shape = (config.model_updates, config.model_batch)
-    batches = replay.sample(held, key_sample, shape, weight)
+    batches = dyna.memory.sample(state.replay, key_sample, shape, config.rare_share)
 
     def update(carry, batch):
         model, key = carry
@@ -210,9 +213,12 @@ def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metri
     env_params = dyna.dream.params(state, hparams)
     weight = jnp.where(episode + 1 >= hparams.num_real_first, hparams.fake_weight, 0.0)
 
+    fake_act = dyna.agent.act_fake or dyna.agent.act
+    learn = dyna.agent.update_fake or dyna.agent.update
+
     def update(agent, key_play, key_update):
         def act(obs, key):
-            return dyna.agent.act(agent, obs, key, hparams.agent)
+            return fake_act(agent, obs, key, hparams.agent)
 
         fake = rollout(
             dyna.dream.env,
@@ -220,10 +226,10 @@ def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metri
             key_play,
             env_params,
             config.dream_episodes,
-            num_steps=config.num_steps,
+            num_steps=config.dream_steps or config.num_steps,
         )
         weighted = fake._replace(mask=fake.mask * weight)
-        agent, _ = dyna.agent.update(agent, weighted, key_update, hparams.agent)
+        agent, _ = learn(agent, weighted, key_update, hparams.agent)
         return (agent, ~fake.terminated.any()), _summary("fake", fake)
 
     def update_unless_safe(carry, _):

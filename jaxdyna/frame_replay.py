@@ -9,16 +9,15 @@ its own, so that a dream that branched off from the middle of a real episode is 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from jaxdyna.replay import draw, share_weight
-from jaxdyna.types import Key, Memory, Transition
+from jaxdyna.replay import draw
+from jaxdyna.types import Key, Transition
 
 
 @struct.dataclass
@@ -97,9 +96,8 @@ def init(capacity: int, episodes: int, example: Transition, num_frames: int = 4)
     height, width, depth = example.obs.shape
     if capacity < num_frames or episodes < 1 or num_frames < 1:
         raise ValueError(
-            f"a replay of {capacity} transitions and {episodes} episodes in stacks of "
-            f"{num_frames}: give it at least one episode, and as many transitions as a stack has "
-            "frames"
+            f"{capacity} transitions and {episodes} episodes in stacks of {num_frames}: give at "
+            "least one episode, and as many transitions as a stack has frames"
         )
     if depth % num_frames:
         raise ValueError(f"{depth} channels are not {num_frames} frames of equal depth")
@@ -113,7 +111,7 @@ def init(capacity: int, episodes: int, example: Transition, num_frames: int = 4)
         name: jnp.zeros((capacity, *leaf.shape), leaf.dtype)
         for name, leaf in _rest(example).items()
     }
-    numbers, nothing = jnp.zeros(capacity, jnp.int32), jnp.int32(0)
+    numbers, none = jnp.zeros(capacity, jnp.int32), jnp.int32(0)
     return FrameReplay(
         frame=frames(capacity),
         rest=rest,
@@ -121,8 +119,8 @@ def init(capacity: int, episodes: int, example: Transition, num_frames: int = 4)
         episode=numbers,
         older=frames(episodes, num_frames - 1),
         last_frame=frames(episodes),
-        added=nothing,
-        episodes_added=nothing,
+        added=none,
+        episodes_added=none,
         first=jnp.zeros(episodes, jnp.int32),
         num_frames=num_frames,
     )
@@ -233,74 +231,6 @@ def _frames_of(
         axis=-4,
     )
     return jnp.where((place < deepest)[..., None, None, None], early, frames)
-
-
-class Window(NamedTuple):
-    """What n-step learning takes of a few successive transitions (Sutton and Barto 2018, §7.1).
-
-    Attributes:
-        first: the first of them, a `Transition` ``[...]``.
-        reward: their discounted sum, up to the end of the episode, ``[...]``.
-        last_obs: the observation after the last of them, ``[..., *obs]``.
-        discount: of the value there: ``discount ** length``, 0 where the episode terminated.
-    """
-
-    first: Transition
-    reward: jax.Array
-    last_obs: jax.Array
-    discount: jax.Array
-
-
-def take_window(
-    replay: FrameReplay, number: jax.Array, length: int, discount: jax.Array | float
-) -> Window:
-    """The windows that begin with these transitions, fewer than ``length`` long where an episode
-    ends.
-
-    Args:
-        replay: the buffer.
-        number: as `take`'s, int ``[...]``.
-        length: n.
-        discount: scalar in [0, 1].
-    """
-    first = take(replay, number)
-    if length == 1:
-        going_on = discount * (1 - first.terminated)
-        return Window(first, first.reward, first.next_obs, going_on)
-    slot = (number[..., None] + jnp.arange(length)) % replay.capacity
-    ended = (replay.rest["terminated"] | replay.rest["truncated"])[slot]
-    alive = jnp.cumsum(ended, axis=-1) - ended == 0
-    powers = discount ** jnp.arange(length)
-    reward = (replay.rest["reward"][slot] * alive * powers).sum(-1)
-    steps = alive.sum(-1)
-    last = take(replay, number + steps - 1)
-    return Window(first, reward, last.next_obs, discount**steps * (1 - last.terminated))
-
-
-def memory(rare: Callable[[dict[str, jax.Array]], jax.Array], num_frames: int = 4) -> Memory:
-    """This replay as a `jaxdyna.types.Memory`.
-
-    Args:
-        rare: from `FrameReplay.rest` to bool ``[capacity]``: which transitions are rare.
-        num_frames: frames in a stack.
-    """
-
-    def start(capacity: int, episodes: int, example: Transition) -> FrameReplay:
-        return init(capacity, episodes, example, num_frames)
-
-    def draw_some(
-        held: FrameReplay, key: Key, shape: tuple[int, ...], rare_share: float | None
-    ) -> Transition:
-        if rare_share is None:
-            return sample(held, key, shape)
-        return sample(held, key, shape, share_weight(held.held, rare(held.rest), rare_share))
-
-    def forget(held: FrameReplay, when: jax.Array) -> FrameReplay:
-        counts = (held.added, held.episodes_added, held.first)
-        added, episodes, first = (jnp.where(when, 0, count) for count in counts)
-        return replace(held, added=added, episodes_added=episodes, first=first)
-
-    return Memory(start, add, draw_some, forget)
 
 
 def _stack(frames: jax.Array) -> jax.Array:

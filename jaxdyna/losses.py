@@ -63,6 +63,32 @@ def policy_gradient(
     return -(weight * jax.lax.stop_gradient(advantage) * log_prob).sum()
 
 
+def td_error(
+    values: jax.Array,
+    action: jax.Array,
+    reward: jax.Array,
+    discount: jax.Array,
+    next_values: jax.Array,
+    next_choice: jax.Array,
+) -> jax.Array:
+    """Error of Q-learning, ``reward + discount * Q'(s', argmax_a choice(s', a)) - Q(s, a)``.
+
+    Args:
+        values: Q of the state, ``[actions]``.
+        action: what was done, int scalar.
+        reward: of the step, or the discounted sum of n.
+        discount: of what comes after; 0 where the episode terminated.
+        next_values: the target network's Q of the state after, ``[actions]``, a constant.
+        next_choice: what the next action is chosen by: the online network's Q for Double DQN (van
+            Hasselt et al. 2016), ``next_values`` itself for DQN (Mnih et al. 2015).
+
+    Returns:
+        A scalar.
+    """
+    target = reward + discount * next_values[jnp.argmax(next_choice)]
+    return jax.lax.stop_gradient(target) - values[action]
+
+
 def transition_loss(
     next_obs: jax.Array,
     reward: jax.Array,

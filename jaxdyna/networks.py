@@ -85,6 +85,48 @@ class LocalDynamics(nn.Module):
         return nn.Dense(self.channels)(x), x
 
 
+class AttentionQ(nn.Module):
+    """Values of actions from a picture: convolutions, then a few heads that each look at one place
+    of it (softmax over cells, as in Mott et al. 2019), then a perceptron on what they see and
+    where. What happens around a thing is so learned once for the whole picture.
+
+    Attributes:
+        num_actions: how many values.
+        widths: of the 3x3 convolutions.
+        heads: places that are looked at.
+        hidden: widths of the perceptron's hidden layers.
+        sharpness: times the softmax's logits.
+    """
+
+    num_actions: int
+    widths: tuple[int, ...] = (16, 16, 32)
+    heads: int = 4
+    hidden: tuple[int, ...] = (128, 128)
+    sharpness: float = 3.0
+
+    @nn.compact
+    def __call__(self, stack: jax.Array) -> jax.Array:
+        """From pictures ``[N, H, W, C]`` in [0, 1] to values ``[N, actions]``: a mean and what each
+        action is above it (Wang et al. 2016).
+        """
+        count, height, width, _ = stack.shape
+        x = jnp.concatenate([stack, jnp.ones_like(stack[..., :1])], axis=-1)
+        for features in self.widths:
+            x = nn.relu(Convolution(features, 3, 1)(x))
+        looks = nn.Dense(self.heads)(jnp.concatenate([stack, x], axis=-1)) * self.sharpness
+        looks = jax.nn.softmax(looks.reshape(count, -1, self.heads), axis=1)
+        rows, columns = jnp.linspace(-1, 1, height), jnp.linspace(-1, 1, width)
+        place = jnp.stack(jnp.meshgrid(rows, columns, indexing="ij"), axis=-1)
+        place = jnp.broadcast_to(place, (count, height, width, 2))
+        seen = jnp.concatenate([x, place], axis=-1).reshape(count, height * width, -1)
+        seen = jnp.einsum("nch,ncf->nhf", looks, seen).reshape(count, -1)
+        for features in self.hidden:
+            seen = nn.relu(nn.Dense(features)(seen))
+        values = nn.Dense(self.num_actions + 1)(seen)
+        mean, above = values[:, :1], values[:, 1:]
+        return mean + above - above.mean(-1, keepdims=True)
+
+
 class EncoderDecoder(nn.Module):
     """The paper's Fig. 4 (Oh et al. 2015): convolutions and a dense layer, the Hadamard product
     with the action's features, a dense layer and transposed convolutions back. BatchNorm after

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from jaxdyna.types import Key, Memory, PyTree, Transition
+from jaxdyna.types import Key, PyTree
 
 
 @struct.dataclass
@@ -140,24 +138,3 @@ def draw(weight: jax.Array, key: Key, shape: tuple[int, ...]) -> jax.Array:
     position = jnp.searchsorted(cumulative, height.reshape(-1), side="right").reshape(shape)
     last = weight.shape[0] - 1 - jnp.argmax(weight[::-1] > 0)  # where rounding met the top
     return jnp.minimum(position, last)
-
-
-def transitions() -> Memory:
-    """This buffer as a `jaxdyna.types.Memory`; rare are transitions that ended an episode."""
-
-    def start(capacity: int, episodes: int, example: Transition) -> Replay:
-        del episodes
-        return init(capacity, example)
-
-    def draw_some(
-        held: Replay, key: Key, shape: tuple[int, ...], rare_share: float | None
-    ) -> Transition:
-        if rare_share is None:
-            return sample(held, key, shape)
-        weight = share_weight(held.held, held.data.terminated, rare_share)
-        return sample(held, key, shape, weight)
-
-    def forget(held: Replay, when: jax.Array) -> Replay:
-        return replace(held, added=jnp.where(when, 0, held.added))
-
-    return Memory(start, lambda held, new: add(held, new, new.mask), draw_some, forget)

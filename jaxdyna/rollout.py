@@ -77,6 +77,15 @@ def rollout(
     return jax.vmap(episode)(jax.random.split(key, num_episodes))
 
 
+def first_states(env: Environment, key: Key, env_params: Any, num_episodes: int) -> Any:
+    """The states ``[N]`` in which the episodes of a `rollout` with the same key begin."""
+
+    def begin(key: Key) -> Any:
+        return env.reset(jax.random.split(key)[0], env_params)[1]
+
+    return jax.vmap(begin)(jax.random.split(key, num_episodes))
+
+
 def _concrete_max_steps(env_params: Any) -> int:
     if isinstance(env_params.max_steps, jax.core.Tracer):
         raise ValueError(

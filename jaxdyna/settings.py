@@ -16,16 +16,18 @@ class DynaConfig:
     Attributes:
         num_episodes: real episodes in all.
         num_real_first: N of §3.1.2: the first dream follows the N-th real episode (0 is as 1).
-        num_steps: the longest episode, real or fake, in steps.
+        num_steps: the longest episode in steps.
         model_updates: gradient steps of the model after each real episode.
         model_batch: transitions a gradient step.
         dream_updates: policy updates on dreams after each real episode.
         dream_episodes: fake episodes in each of those updates.
+        dream_steps: the longest fake episode in steps; None for ``num_steps``.
         replay_capacity: transitions kept; None keeps all.
         forget_every: real episodes after which the replay is emptied, as the authors' code does;
             0 never.
-        terminal_share: the share of each model batch that is drawn from transitions that ended an
-            episode, however rare they are; None draws all transitions alike.
+        rare_share: the share of each model batch that is drawn from rare transitions, those that
+            ended an episode or what else `jaxdyna.dyna.Dyna.memory` takes for rare; None draws all
+            alike.
         rest_when_safe: for tasks whose end is a failure. Neither train the model nor dream after
             a real episode that was truncated instead of terminated, and stop dreaming after a
             batch of fake episodes of which none terminated: what works is left alone, and costs
@@ -39,14 +41,15 @@ class DynaConfig:
     model_batch: int = 64
     dream_updates: int = 1
     dream_episodes: int = 2
+    dream_steps: int | None = None
     replay_capacity: int | None = None
     forget_every: int = 0
-    terminal_share: float | None = None
+    rare_share: float | None = None
     rest_when_safe: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("num_episodes", "num_steps", "model_batch", "dream_episodes"):
-            if getattr(self, name) < 1:
+        for name in ("num_episodes", "num_steps", "model_batch", "dream_episodes", "dream_steps"):
+            if getattr(self, name) is not None and getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}: it must be at least 1")
         for name in ("num_real_first", "model_updates", "dream_updates", "forget_every"):
             if getattr(self, name) < 0:
@@ -56,9 +59,9 @@ class DynaConfig:
                 f"num_real_first (N) is {self.num_real_first} but there are only "
                 f"{self.num_episodes} episodes: lower N or raise the number of episodes"
             )
-        if self.terminal_share is not None and not 0 <= self.terminal_share <= 1:
+        if self.rare_share is not None and not 0 <= self.rare_share <= 1:
             raise ValueError(
-                f"terminal_share is {self.terminal_share}: it must lie between 0 and 1, or be None"
+                f"rare_share is {self.rare_share}: it must lie between 0 and 1, or be None"
             )
         if self.replay_capacity is not None and self.replay_capacity < self.num_steps:
             raise ValueError(

@@ -81,21 +81,23 @@ class Agent(NamedTuple):
         update: ``(state, transitions, key, hparams) -> (state, metrics)`` from whole episodes
             ``[N, T]``, real or fake alike. ``transitions.mask`` weighs them; where it is zero
             throughout, the state comes back as it was.
-        update_fake: the same from fake episodes, for a learner that keeps the two apart; None for
-            one that does not.
+        act_fake: as ``act`` but in dreams, where exploring costs nothing; None: as ``act``.
+        update_fake: as ``update`` from fake episodes, for a learner that keeps the two apart;
+            None: as ``update``.
     """
 
     init: Callable[[Key, Any], Any]
     act: Callable[[Any, jax.Array, Key, Any], jax.Array]
     update: Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]]
+    act_fake: Callable[[Any, jax.Array, Key, Any], jax.Array] | None = None
     update_fake: Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]] | None = (
         None
     )
 
 
 class Memory(NamedTuple):
-    """How real transitions are kept for the model: `jaxdyna.replay.transitions`,
-    `jaxdyna.frame_replay.frames`.
+    """How real transitions are kept for the model: `jaxdyna.memory.transitions`,
+    `jaxdyna.memory.frames`.
 
     Attributes:
         init: ``(capacity, episodes, example) -> memory``: an empty one for so many transitions and

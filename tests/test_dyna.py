@@ -85,13 +85,13 @@ def test_rest_when_safe():
     assert_close(jax.tree.map(lambda leaf: leaf[0, 4], state.agent), alone.agent, 1e-4)
 
 
-def test_terminal_share_decides_what_the_model_sees():
+def test_rare_share_decides_what_the_model_sees():
     def update(state, batch, key, hparams):
         return state, {"loss": batch.terminated.mean()}
 
     seeing = DYNA._replace(model=DYNA.model._replace(update=update))
     for share in (0.0, 1.0):
-        metrics = train(seeing, replace(SMALL, terminal_share=share))[1]
+        metrics = train(seeing, replace(SMALL, rare_share=share))[1]
         np.testing.assert_array_equal(metrics["model_loss"], share)
     assert 0 < train(seeing)[1]["model_loss"].mean() < 0.5
 

@@ -8,7 +8,9 @@ from parts import assert_same
 
 from jaxdyna import frame_replay, rollout
 from jaxdyna.envs import FrameStack, Maze, MazeParams
+from jaxdyna.memory import frames
 from jaxdyna.replay import share_weight
+from jaxdyna.windows import take_window
 
 ENV = FrameStack(Maze(size=5, num_obstacles=3))
 
@@ -73,24 +75,24 @@ def test_windows_by_hand():
     episodes = play(3, 2, lengths=[3, 7])
     episodes = episodes._replace(reward=jnp.arange(14.0).reshape(2, 7))
     buffer = frame_replay.add(frame_replay.init(64, 20, example(episodes)), episodes)
-    window = frame_replay.take_window(buffer, jnp.arange(4), 3, 0.5)
+    window = take_window(buffer, jnp.arange(4), 3, 0.5)
     np.testing.assert_allclose(window.reward, [0 + 0.5 + 0.5, 1 + 1, 2, 7 + 4 + 9 / 4])
     np.testing.assert_allclose(window.discount, [0, 0, 0, 0.125])
     assert_same(window.first, frame_replay.take(buffer, jnp.arange(4)))
     assert_same(window.last_obs[3], episodes.next_obs[1, 2])
-    single = frame_replay.take_window(buffer, jnp.arange(4), 1, 0.5)
+    single = take_window(buffer, jnp.arange(4), 1, 0.5)
     np.testing.assert_allclose(single.reward, [0, 1, 2, 7])
     np.testing.assert_allclose(single.discount, [0.5, 0.5, 0, 0.5])
     cut = episodes._replace(truncated=episodes.terminated, terminated=episodes.truncated)
     buffer = frame_replay.add(frame_replay.init(64, 20, example(cut)), cut)
-    window = frame_replay.take_window(buffer, jnp.arange(3), 3, 0.5)
+    window = take_window(buffer, jnp.arange(3), 3, 0.5)
     np.testing.assert_allclose(window.discount, [0.125, 0.25, 0.5])  # truncation never cuts
 
 
 def test_memory_draws_rare_transitions_and_forgets():
     episodes = play(0, 2)
     episodes = episodes._replace(reward=jnp.zeros((2, 7)).at[1, 3].set(1.0))
-    memory = frame_replay.memory(lambda rest: rest["reward"] > 0)
+    memory = frames(lambda rest: rest["reward"] > 0)
     held = memory.add(memory.init(64, 9, example(episodes)), episodes)
     drawn = memory.sample(held, jax.random.key(0), (400,), 0.5)
     assert drawn.reward.mean() == pytest.approx(0.5, abs=0.08)

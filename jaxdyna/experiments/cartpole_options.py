@@ -143,7 +143,7 @@ def dyna_config(options: Options) -> DynaConfig:
         dream_episodes=options.dream_episodes,
         forget_every=options.forget_every,
         replay_capacity=options.replay_capacity,
-        terminal_share=options.terminal_share,
+        rare_share=options.terminal_share,
         rest_when_safe=options.rest_when_safe,
     )
 

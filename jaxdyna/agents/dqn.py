@@ -1,0 +1,214 @@
+"""Deep Q-learning from stacked frames (Mnih et al. 2015; van Hasselt et al. 2016), §4.2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from flax import struct
+
+from jaxdyna import frame_replay
+from jaxdyna.agents.dqn_settings import DQNConfig, DQNHParams
+from jaxdyna.frame_replay import FrameReplay
+from jaxdyna.losses import td_error
+from jaxdyna.networks import AttentionQ
+from jaxdyna.types import Agent, Key, Transition
+from jaxdyna.windows import Window, take_window
+
+Values = Callable[[Any, jax.Array], jax.Array]
+
+
+@struct.dataclass
+class DQNState:
+    """Arrays of a learner.
+
+    Attributes:
+        params: the online network's.
+        target: the target network's.
+        opt_state: the optimiser's.
+        steps: int32, gradient steps so far.
+        episodes: int32, real episodes so far.
+        drift: ``[actions]``, log odds of exploratory actions.
+        real: real transitions.
+        fake: dreamed ones.
+    """
+
+    params: Any
+    target: Any
+    opt_state: Any
+    steps: jax.Array
+    episodes: jax.Array
+    drift: jax.Array
+    real: FrameReplay
+    fake: FrameReplay
+
+
+LEARNED = ("params", "target", "opt_state", "steps")
+
+
+def dqn(
+    frame_shape: tuple[int, int, int],
+    num_actions: int,
+    config: DQNConfig | None = None,
+    num_frames: int = 4,
+) -> Agent:
+    """A deep Q-network with a target network and a replay for real and one for fake transitions.
+
+    Args:
+        frame_shape: ``(height, width, channels)`` of one frame; an observation is uint8 ``[H, W,
+            channels * num_frames]``, as `jaxdyna.envs.FrameStack` makes it.
+        num_actions: number of discrete actions.
+        config: the program's settings.
+        num_frames: frames in an observation.
+
+    Returns:
+        An `Agent` whose hparams are `DQNHParams`.
+    """
+    config = config or DQNConfig()
+    network = config.network or AttentionQ(num_actions)
+    obs_shape = (*frame_shape[:2], frame_shape[2] * num_frames)
+
+    def values(params: Any, obs: jax.Array) -> jax.Array:
+        return jnp.asarray(network.apply(params, obs.astype(jnp.float32) / 255))
+
+    def init(key: Key, hparams: DQNHParams) -> DQNState:
+        params = network.init(key, jnp.zeros((1, *obs_shape)))
+        example = _example(obs_shape)
+        return DQNState(
+            params=params,
+            target=params,
+            opt_state=config.optimizer(hparams.learning_rate).init(params),
+            steps=jnp.int32(0),
+            episodes=jnp.int32(0),
+            drift=jnp.zeros(num_actions),
+            real=frame_replay.init(config.capacity, config.episodes, example, num_frames),
+            fake=frame_replay.init(config.fake_capacity, config.fake_episodes, example, num_frames),
+        )
+
+    def explore(state: DQNState, obs: jax.Array, key: Key, epsilon: jax.Array) -> jax.Array:
+        key_which, key_action = jax.random.split(key)
+        exploratory = jax.random.categorical(key_action, state.drift)
+        best = jnp.argmax(values(state.params, obs[None])[0])
+        return jnp.where(jax.random.uniform(key_which) < epsilon, exploratory, best)
+
+    def act(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
+        return explore(state, obs, key, epsilon_now(state.episodes, hparams))
+
+    def act_fake(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
+        return explore(state, obs, key, jnp.asarray(hparams.epsilon_fake))
+
+    def learn(state: DQNState, key: Key, hparams: DQNHParams, updates: int):
+        """Gradient steps, and a new direction for the next exploring episode."""
+        key_drift, key_steps = jax.random.split(key)
+
+        def step(carry: tuple[dict, Key], _: None):
+            learned, key = carry
+            key, key_now = jax.random.split(key)
+            now = replace(state, **learned)
+            learned, loss = _descend(values, config, now, key_now, hparams)
+            return (learned, key), loss
+
+        start = {name: getattr(state, name) for name in LEARNED}
+        (learned, _), losses = jax.lax.scan(step, (start, key_steps), length=updates)
+        drift = config.drift * jax.random.normal(key_drift, (num_actions,))
+        loss = losses.mean() if updates else jnp.float32(0)
+        return replace(state, drift=drift, **learned), {"loss": loss}
+
+    def update(state: DQNState, transitions: Transition, key: Key, hparams: DQNHParams):
+        """Stores the episodes, then `DQNConfig.updates` gradient steps."""
+
+        def work():
+            real = frame_replay.add(state.real, _weighted(transitions))
+            episodes = state.episodes + transitions.mask.shape[0]
+            new = replace(state, real=real, episodes=episodes)
+            return learn(new, key, hparams, config.updates)
+
+        return _unless_nothing(transitions, work, state)
+
+    def update_fake(state: DQNState, transitions: Transition, key: Key, hparams: DQNHParams):
+        """The same with dreams."""
+
+        def work():
+            fake = frame_replay.add(state.fake, _weighted(transitions))
+            return learn(replace(state, fake=fake), key, hparams, config.fake_updates)
+
+        return _unless_nothing(transitions, work, state)
+
+    return Agent(init, act, update, act_fake, update_fake)
+
+
+def epsilon_now(episodes: jax.Array, hparams: DQNHParams) -> jax.Array:
+    """The share of exploratory actions after so many real episodes."""
+    gone = jnp.clip(episodes / jnp.maximum(hparams.epsilon_episodes, 1e-6), 0, 1)
+    return hparams.epsilon_first + gone * (hparams.epsilon_last - hparams.epsilon_first)
+
+
+def _descend(
+    values: Values, config: DQNConfig, state: DQNState, key: Key, hparams: DQNHParams
+) -> tuple[dict[str, Any], jax.Array]:
+    """One gradient step; returns what of the state it changes, and the loss."""
+    batch = _mixed(state, key, hparams, config)
+    next_target = values(state.target, batch.last_obs)
+    choice = values(state.params, batch.last_obs) if config.double else next_target
+
+    def loss_fn(params):
+        errors = jax.vmap(td_error)(
+            values(params, batch.first.obs),
+            batch.first.action,
+            hparams.reward_scale * batch.reward,
+            batch.discount,
+            next_target,
+            choice,
+        )
+        return (batch.first.mask * optax.huber_loss(errors)).mean()
+
+    loss, grads = jax.value_and_grad(loss_fn)(state.params)
+    optimizer = config.optimizer(hparams.learning_rate)
+    updates, opt_state = optimizer.update(grads, state.opt_state, state.params)
+    params = optax.apply_updates(state.params, updates)
+    steps = state.steps + 1
+    rate = jnp.where(steps % config.target_period == 0, hparams.target_rate, 0.0)
+    target = optax.incremental_update(params, state.target, rate)
+    return dict(zip(LEARNED, (params, target, opt_state, steps), strict=True)), loss
+
+
+def _mixed(state: DQNState, key: Key, hparams: DQNHParams, config: DQNConfig) -> Window:
+    """A batch of windows, a share of them fake."""
+    key_source, key_real, key_fake = jax.random.split(key, 3)
+    shape = (config.batch,)
+
+    def drawn(memory: FrameReplay, key: Key) -> Window:
+        numbers = frame_replay.sample_numbers(memory, key, shape)
+        return take_window(memory, numbers, config.n_step, hparams.discount)
+
+    real, fake = drawn(state.real, key_real), drawn(state.fake, key_fake)
+    share = jnp.where(state.fake.size > 0, hparams.fake_share, 0.0)
+    share = jnp.where(state.real.size > 0, share, 1.0)
+    is_fake = jax.random.uniform(key_source, shape) < share
+    return jax.tree.map(lambda new, old: jax.vmap(jnp.where)(is_fake, new, old), fake, real)
+
+
+def _weighted(transitions: Transition) -> Transition:
+    return transitions._replace(mask=transitions.mask.astype(jnp.float32))
+
+
+def _unless_nothing(
+    transitions: Transition, work: Callable[[], tuple[DQNState, dict]], state: DQNState
+) -> tuple[DQNState, dict[str, jax.Array]]:
+    """What ``work`` returns, or the state as it is where every transition weighs nothing."""
+    nothing = {"loss": jnp.float32(0)}
+    return jax.lax.cond((transitions.mask > 0).any(), work, lambda: (state, nothing))
+
+
+def _example(obs_shape: tuple[int, ...]) -> Transition:
+    def of(shape: tuple[int, ...], dtype: Any) -> Any:
+        return jax.ShapeDtypeStruct(shape, dtype)
+
+    number, flag = of((), np.float32), of((), np.bool_)
+    obs = of(obs_shape, np.uint8)
+    return Transition(obs, of((), np.int32), number, obs, flag, flag, number)

@@ -1,0 +1,54 @@
+"""A few successive transitions at a time, for n-step learning."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxdyna import frame_replay
+from jaxdyna.frame_replay import FrameReplay
+from jaxdyna.types import Transition
+
+
+class Window(NamedTuple):
+    """What n-step learning takes of a few successive transitions (Sutton and Barto 2018, §7.1).
+
+    Attributes:
+        first: the first of them, a `Transition` ``[...]``.
+        reward: their discounted sum, up to the end of the episode, ``[...]``.
+        last_obs: the observation after the last of them, ``[..., *obs]``.
+        discount: of the value there: ``discount ** length``, 0 where the episode terminated.
+    """
+
+    first: Transition
+    reward: jax.Array
+    last_obs: jax.Array
+    discount: jax.Array
+
+
+def take_window(
+    replay: FrameReplay, number: jax.Array, length: int, discount: jax.Array | float
+) -> Window:
+    """The windows that begin with these transitions, fewer than ``length`` long where an episode
+    ends.
+
+    Args:
+        replay: the buffer.
+        number: as that of `jaxdyna.frame_replay.take`, int ``[...]``.
+        length: n.
+        discount: scalar in [0, 1].
+    """
+    first = frame_replay.take(replay, number)
+    if length == 1:
+        going_on = discount * (1 - first.terminated)
+        return Window(first, first.reward, first.next_obs, going_on)
+    slot = (number[..., None] + jnp.arange(length)) % replay.capacity
+    ended = (replay.rest["terminated"] | replay.rest["truncated"])[slot]
+    alive = jnp.cumsum(ended, axis=-1) - ended == 0
+    powers = discount ** jnp.arange(length)
+    reward = (replay.rest["reward"][slot] * alive * powers).sum(-1)
+    steps = alive.sum(-1)
+    last = frame_replay.take(replay, number + steps - 1)
+    return Window(first, reward, last.next_obs, discount**steps * (1 - last.terminated))
