@@ -4,7 +4,9 @@ What `jaxdyna.replay` would store of a transition, two stacks, holds each frame 
 stack is four deep. Here a transition keeps only the newest frame of its ``obs``; its older frames
 are found with the transitions before it, and the frame after its action with the one that follows.
 What an episode lacks, the frames before its first and the one after its last, has a small store of
-its own, so that a dream that branched off from the middle of a real episode is held as well.
+its own, so that a dream that branched off from the middle of a real episode is held as well. Of
+the Maze's 16x16 RGB frames, in episodes of 200 steps, a transition takes 802 bytes; as two stacks
+of four frames it would take more than 6,144.
 """
 
 from __future__ import annotations
@@ -127,8 +129,9 @@ def init(capacity: int, episodes: int, example: Transition, num_frames: int = 4)
 
 
 def bytes_per_transition(replay: FrameReplay) -> float:
-    """What the buffer takes of memory, over the transitions it holds when full."""
-    return sum(leaf.nbytes for leaf in jax.tree.leaves(replay)) / replay.capacity
+    """What a buffer, or the shapes of one, takes of memory over the transitions it holds."""
+    total = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(replay))
+    return total / replay.capacity
 
 
 def add(replay: FrameReplay, episodes: Transition) -> FrameReplay:
@@ -203,8 +206,9 @@ def take(replay: FrameReplay, number: jax.Array) -> Transition:
     slot = number % replay.capacity
     row = replay.episode[slot] % replay.last_frame.shape[0]
     frames = _frames_of(replay, number, slot, row)
-    following = replay.frame[(number + 1) % replay.capacity]
-    ended = (replay.rest["terminated"] | replay.rest["truncated"])[slot]
+    next_slot = (number + 1) % replay.capacity
+    following = replay.frame[next_slot]
+    ended = (number + 1 == replay.added) | (replay.episode[next_slot] != replay.episode[slot])
     after = jnp.where(ended[..., None, None, None], replay.last_frame[row], following)
     later = jnp.concatenate([frames[..., 1:, :, :, :], after[..., None, :, :, :]], axis=-4)
     rest = {name: leaf[slot] for name, leaf in replay.rest.items()}

@@ -71,11 +71,13 @@ class LocalDynamics(nn.Module):
     widths: tuple[int, ...] = (32, 32)
 
     @nn.compact
-    def __call__(self, stack: jax.Array, action: jax.Array, train: bool) -> tuple[jax.Array, ...]:
+    def __call__(
+        self, stack: jax.Array, action: jax.Array, train: bool, valid: jax.Array | None = None
+    ) -> tuple[jax.Array, ...]:
         """From pictures ``[N, H, W, C]`` in [0, 1] and actions ``[N, actions]`` (one-hot) to the
         raw next picture ``[N, H, W, channels]`` and the features under it ``[N, H, W, width]``.
         """
-        del train
+        del train, valid
         x = jnp.concatenate([stack, jnp.ones_like(stack[..., :1])], axis=-1)
         for number, width in enumerate(self.widths):
             x = Convolution(width, 3, 1)(x)
@@ -86,9 +88,8 @@ class LocalDynamics(nn.Module):
 
 
 class AttentionQ(nn.Module):
-    """Values of actions from a picture: convolutions, then a few heads that each look at one place
-    of it (softmax over cells, as in Mott et al. 2019), then a perceptron on what they see and
-    where. What happens around a thing is so learned once for the whole picture.
+    """Values of actions from a picture: convolutions, heads that each look at one place of it
+    (softmax over cells, Mott et al. 2019), a perceptron on what they see and where.
 
     Attributes:
         num_actions: how many values.
@@ -106,14 +107,12 @@ class AttentionQ(nn.Module):
 
     @nn.compact
     def __call__(self, stack: jax.Array) -> jax.Array:
-        """From pictures ``[N, H, W, C]`` in [0, 1] to values ``[N, actions]``: a mean and what each
-        action is above it (Wang et al. 2016).
-        """
+        """From ``[N, H, W, C]`` in [0, 1] to ``[N, actions]``, dueling (Wang et al. 2016)."""
         count, height, width, _ = stack.shape
         x = jnp.concatenate([stack, jnp.ones_like(stack[..., :1])], axis=-1)
         for features in self.widths:
             x = nn.relu(Convolution(features, 3, 1)(x))
-        looks = nn.Dense(self.heads)(jnp.concatenate([stack, x], axis=-1)) * self.sharpness
+        looks = self.sharpness * nn.Dense(self.heads)(jnp.concatenate([stack, x], axis=-1))
         looks = jax.nn.softmax(looks.reshape(count, -1, self.heads), axis=1)
         rows, columns = jnp.linspace(-1, 1, height), jnp.linspace(-1, 1, width)
         place = jnp.stack(jnp.meshgrid(rows, columns, indexing="ij"), axis=-1)
@@ -129,10 +128,10 @@ class AttentionQ(nn.Module):
 
 class EncoderDecoder(nn.Module):
     """The paper's Fig. 4 (Oh et al. 2015): convolutions and a dense layer, the Hadamard product
-    with the action's features, a dense layer and transposed convolutions back. BatchNorm after
-    every layer but the first and the last, and ReLU, except in the product's two factors, which
-    have none as in the paper's equation ``W_dec (W_enc h * W_a a) + b``. The action's factor
-    starts scattered around one: started around zero it takes about twice the updates.
+    with the action's features, a dense layer and transposed convolutions back, with ReLU and
+    BatchNorm after every layer but the first, which has no BatchNorm, and the last, which has
+    neither. As in the paper's equation ``W_dec (W_enc h * W_a a) + b`` the product's factors have
+    no ReLU, the action's no BatchNorm; it starts around one (ours: from zero it learns later).
 
     Attributes:
         channels: of the picture that is predicted.
@@ -147,13 +146,17 @@ class EncoderDecoder(nn.Module):
     dense: int = 256
 
     @nn.compact
-    def __call__(self, stack: jax.Array, action: jax.Array, train: bool) -> tuple[jax.Array, ...]:
+    def __call__(
+        self, stack: jax.Array, action: jax.Array, train: bool, valid: jax.Array | None = None
+    ) -> tuple[jax.Array, ...]:
         """From pictures ``[N, H, W, C]`` in [0, 1] and actions ``[N, actions]`` (one-hot) to the
-        raw next picture ``[N, H, W, channels]`` and the joint features ``[N, dense]``.
+        raw next picture ``[N, H, W, channels]`` and the joint features ``[N, dense]``. BatchNorm
+        learns from the rows that are ``valid``, bool ``[N]``; all by default.
         """
 
         def normalise(x):
-            return nn.BatchNorm(use_running_average=not train, momentum=0.95)(x)
+            mask = None if valid is None else valid.reshape(-1, *[1] * (x.ndim - 1))
+            return nn.BatchNorm(use_running_average=not train, momentum=0.95)(x, mask=mask)
 
         def settle(x):
             return nn.relu(normalise(x))
@@ -212,7 +215,8 @@ class FrameModel(nn.Module):
     """A network that predicts the next picture, with heads for the reward and the end.
 
     Attributes:
-        network: ``(stack, action, train) -> (raw, features)``: `LocalDynamics`, `EncoderDecoder`.
+        network: ``(stack, action, train, valid) -> (raw, features)``: `LocalDynamics`,
+            `EncoderDecoder`.
         reward: ``(features, next_frame) -> (reward [N], charge [N])``, the charge to be added to
             the loss: `LocalReward`, `JointReward`; None for 0.
         terminates: whether there is a head for the end.
@@ -227,15 +231,20 @@ class FrameModel(nn.Module):
         self.end = nn.Dense(1) if self.terminates else None
 
     def __call__(
-        self, stack: jax.Array, action: jax.Array, next_frame: jax.Array, train: bool
+        self,
+        stack: jax.Array,
+        action: jax.Array,
+        next_frame: jax.Array,
+        train: bool,
+        valid: jax.Array | None = None,
     ) -> tuple[jax.Array, ...]:
         """Raw picture ``[N, H, W, C]``, then as `outcome`."""
-        raw, features = self.frame(stack, action, train)
+        raw, features = self.network(stack, action, train, valid)
         return raw, *self.outcome(features, next_frame)
 
-    def frame(self, stack: jax.Array, action: jax.Array, train: bool) -> tuple[jax.Array, ...]:
-        """Raw picture and features."""
-        return self.network(stack, action, train)
+    def frame(self, stack: jax.Array, action: jax.Array) -> tuple[jax.Array, ...]:
+        """Raw picture and features, once trained."""
+        return self.network(stack, action, False)
 
     def outcome(self, features: jax.Array, next_frame: jax.Array) -> tuple[jax.Array, ...]:
         """Reward, its charge and the log odds of the end, each ``[N]``; without a head 0 and minus

@@ -45,8 +45,8 @@ def take_window(
         going_on = discount * (1 - first.terminated)
         return Window(first, first.reward, first.next_obs, going_on)
     slot = (number[..., None] + jnp.arange(length)) % replay.capacity
-    ended = (replay.rest["terminated"] | replay.rest["truncated"])[slot]
-    alive = jnp.cumsum(ended, axis=-1) - ended == 0
+    same_episode = replay.episode[slot] == replay.episode[slot[..., :1]]
+    alive = same_episode & (number[..., None] + jnp.arange(length) < replay.added)
     powers = discount ** jnp.arange(length)
     reward = (replay.rest["reward"][slot] * alive * powers).sum(-1)
     steps = alive.sum(-1)

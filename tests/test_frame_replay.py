@@ -30,6 +30,15 @@ def play(seed, count, steps=7, lengths=None):
     )
 
 
+def play_maze():
+    """Shapes of a transition of the default maze."""
+    world = FrameStack(Maze())
+    played = jax.eval_shape(
+        lambda key: rollout(world, act, key, MazeParams(max_steps=5), 1), jax.random.key(0)
+    )
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[2:], leaf.dtype), played)
+
+
 def flat(parts):
     """All valid transitions in the order in which they were added."""
     rows = [jax.tree.map(lambda leaf, p=part: np.asarray(leaf)[np.asarray(p.mask)], part)
@@ -69,6 +78,18 @@ def test_a_branch_remembers_what_was_seen_before_it():
     for part in parts:
         buffer = frame_replay.add(buffer, part)
     assert check(buffer, parts) == 2 * 4 + 7 + 2 * 2
+
+
+def test_an_episode_whose_last_steps_weigh_nothing_ends_before_them():
+    episodes = play(0, 2)
+    light = episodes._replace(mask=episodes.mask * (jnp.arange(7) < 4) * 0.5)
+    buffer = frame_replay.add(frame_replay.init(64, 9, example(light)), light)
+    assert int(buffer.size) == 8
+    drawn = frame_replay.take(buffer, jnp.arange(8))
+    assert_same(drawn.next_obs, episodes.next_obs[:, :4].reshape(8, 5, 5, 12))
+    np.testing.assert_array_equal(drawn.mask, 0.5)
+    window = take_window(buffer, jnp.arange(8), 3, 1.0)
+    assert_same(window.last_obs[2], episodes.next_obs[0, 3])
 
 
 def test_windows_by_hand():
@@ -138,6 +159,8 @@ def test_memory_is_a_frame_and_little_more():
     big = play(0, 1)
     buffer = frame_replay.init(4000, 20, example(big))
     frame = 5 * 5 * 3
+    room = frame_replay.init(60_000, 300, play_maze())
+    assert frame_replay.bytes_per_transition(room) == pytest.approx(802, abs=1.5)
     assert frame < frame_replay.bytes_per_transition(buffer) < frame + 21
 
 

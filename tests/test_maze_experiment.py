@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from parts import assert_same
 
+from jaxdyna import frame_replay
 from jaxdyna.experiments import maze, maze_model, plots_frames
 from jaxdyna.experiments.maze_options import Options
 from jaxdyna.experiments.storage import read_curves
@@ -31,25 +33,6 @@ def finished(tmp_path_factory):
     return out
 
 
-def made_up_study(options, arm):
-    """Counts of the right shapes that tell arm, key and stage apart, and train nothing."""
-
-    def advance(run, stage, _):
-        key, before = run
-        drawn = jax.random.uniform(key, (19, 3, 3)) * (stage + before) * len(arm)
-        dream = jnp.tile(drawn[:1], (options.horizon, 1, 1))
-        frames = jnp.full((4, 16, 16, 3), 100, jnp.uint8)
-        key = jax.random.clone(key)
-        return (key, before + stage), {
-            "one_step": drawn, "mass": drawn[0, :, :2] + 1, "reward": drawn[0, :, :2].astype(int),
-            "dream_lit": dream, "dream_drawn": dream, "seen": jnp.tile(frames, (1, 1, 1, 4)),
-            "truth": frames, "belief": frames / 255, "film_truth": frames, "film_dream": frames,
-            "last_loss": drawn.sum(),
-        }  # fmt: skip
-
-    return maze_model.Study(lambda key, _: (key, jnp.int32(0)), advance)
-
-
 def test_it_leaves_a_table_and_figures(finished):
     results = json.loads((finished / "results.json").read_text())
     assert {arm: sorted(stages) for arm, stages in results["arms"].items()} == {
@@ -59,7 +42,7 @@ def test_it_leaves_a_table_and_figures(finished):
     assert set(judged["f1"]) == {"agent", "obstacles", "goal"}
     assert all(len(score["per_seed"]) == 2 for score in judged["f1"].values())
     rewards = judged["reward_right"].values()
-    assert sum(kind["of"] for kind in rewards) == 2 * 2 * 30
+    assert sum(kind["steps"] for kind in rewards) == 2 * 2 * 30
     report = (finished / "report.md").read_text()
     assert "| paper's figures | 100 | 0.92 | 0.83 | 0.99 |" in report
     for name in ("fig7_paper.png", "fig7_lean.png", "thresholds.png", "losses.png", "horizon.png"):
@@ -69,34 +52,32 @@ def test_it_leaves_a_table_and_figures(finished):
     assert "nan" not in report.lower()
 
 
-def test_an_interrupted_run_goes_on_where_it_was(tmp_path, monkeypatch):
-    made, arms = [], ["--arms", "paper", "lean", "lean_l2"]
-    monkeypatch.setattr(maze, "make_study", made_up_study)
-    assert play(tmp_path / "whole", *arms) == 0
+def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch):
+    """Interrupted within a stage and between arms, then resumed: the same, bit for bit."""
+    monkeypatch.setattr(maze, "PIECE_UPDATES", 2)
+    part, arms = tmp_path / "part", ["--arms", "paper", "lean"]
+    real, made = maze.make_study, []
 
     def interrupting(options, arm):
         made.append(arm)
         if len(made) == 2:
             raise KeyboardInterrupt
-        return made_up_study(options, arm)
+        return real(options, arm)
 
+    with monkeypatch.context() as patch:
+        patch.setattr(maze, "deferred_interrupt", lambda: contextlib.nullcontext([2]))
+        assert play(part, *arms) == 130
+        assert read_curves(part / "curves.npz") == {}
     monkeypatch.setattr(maze, "make_study", interrupting)
-    part = tmp_path / "part"
-    assert play(part, *arms) == 130
-    assert set(read_curves(part / "curves.npz")) == {"paper@2", "paper@6"}
-    monkeypatch.setattr(maze, "deferred_interrupt", lambda: contextlib.nullcontext([2]))
-    assert play(part, *arms, "--resume") == 130  # within an arm, between two stages
-    assert set(read_curves(part / "curves.npz")) == {"paper@2", "paper@6", "lean@2"}
-    monkeypatch.undo()
-    monkeypatch.setattr(maze, "make_study", interrupting)
+    made.append("paper")
     with pytest.raises(SystemExit) as stop:
         play(part, *arms, "--resume", "--steps", "31")
     assert stop.value.code == 2
+    assert play(part, *arms, "--resume") == 130
     assert play(part, *arms, "--resume") == 0
-    assert made == ["paper", "lean", "lean", "lean", "lean_l2"]
     assert not (part / "checkpoints").exists()
-    ours, whole = (read_curves(tmp_path / name / "curves.npz") for name in ("part", "whole"))
-    assert set(whole) == {"paper@2", "paper@6", "lean@2", "lean@6", "lean_l2@2", "lean_l2@6"}
+    ours, whole = (read_curves(folder / "curves.npz") for folder in (part, finished))
+    assert set(whole) == {"paper@2", "paper@6", "lean@2", "lean@6"}
     assert_same(ours, whole)
 
 
@@ -106,10 +87,12 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, monkeypatch):
         (["--episodes", "5"], "less than the first of --stages"),
         (["--arms", "papre"], "papre"),
         (["--widths", "4"], "three numbers"),
-        (["--horizon", "200"], "--horizon"),
+        (["--size", "9"], "larger --size"),
+        (["--obstacles", "-1"], "num_obstacles"),
+        (["--steps", "30", "--horizon", "21"], "where dreams end"),
         (["--lean.updates", "0"], "at least 1"),
         (["--out", "/proc/nowhere"], "choose another folder"),
-        (["--resume", "--out", "/tmp/never-there-jaxdyna"], "nothing to resume"),
+        (["--resume", "--out", "never-there-jaxdyna"], "nothing to resume"),
     ],
 )
 def test_bad_input_is_one_line(arguments, words, capsys):
@@ -117,16 +100,20 @@ def test_bad_input_is_one_line(arguments, words, capsys):
         maze.main(arguments)
     said = capsys.readouterr().err
     assert stop.value.code == 2 and words in said and len(said.splitlines()) == 1
+    assert not Path("never-there-jaxdyna").exists()
 
 
 def test_a_stage_sees_its_own_episodes_only():
-    whole = maze_model.collect(jax.random.key(0), 5, 12)
-    few = maze_model.collect(jax.random.key(0), 5, 12)
-    assert int(whole.size) == 60 and int(whole.episodes_added) == 5
-    assert_same(few, whole)
-    for episode in range(5):
-        first = few.frame[12 * episode]
-        assert first[15, 0, 2] == 255  # every episode starts bottom left
+    options = Options(steps=12, horizon=2, episodes=5)
+    key = jax.random.key(0)
+    whole = maze_model.collect(options, key, 5)
+    few = maze_model.first_episodes(whole, 2, 12)
+    alone = maze_model.collect(options, key, 2)
+    assert int(few.size) == int(alone.size) == 24
+    numbers = jnp.arange(24)
+    assert_same(frame_replay.take(few, numbers), frame_replay.take(alone, numbers))
+    drawn = frame_replay.sample_numbers(few, jax.random.key(1), (2000,))
+    assert (drawn.min(), drawn.max()) == (0, 23)
 
 
 def test_counts_by_hand():

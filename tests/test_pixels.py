@@ -72,7 +72,11 @@ def test_what_is_masked_does_not_teach(name, episodes):
         return model.update(state, transitions, jax.random.clone(key), hparams)[0]
 
     some = episodes._replace(mask=episodes.mask.at[:, 10:].set(False))
-    garbage = some._replace(reward=jnp.where(some.mask, some.reward, 99.0))
+    garbage = some._replace(
+        reward=jnp.where(some.mask, some.reward, 99.0),
+        obs=some.obs.at[:, 10:].set(255),
+        next_obs=some.next_obs.at[:, 10:].set(255),
+    )
     assert_close(update(garbage), update(some), 1e-4)
     assert_same(update(episodes._replace(mask=episodes.mask * 0.0)), state)
 
@@ -185,8 +189,9 @@ def test_a_reward_is_laid_where_it_is_earned():
     (params, _), _ = jax.jit(lambda c: jax.lax.scan(step, c, length=2000))(
         (params, optimizer.init(params))
     )
-    single = jnp.eye(3)[:, None, None]
-    np.testing.assert_allclose(head.apply(params, None, single)[0], 0, atol=0.3)
+    lights = jnp.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1.0]])
+    earned = head.apply(params, None, lights[:, None, None])[0]
+    np.testing.assert_allclose(earned, [0, 0, 0, -5, 1, -4], atol=0.4)
 
 
 def test_a_dreamed_maze_is_an_environment(episodes):
@@ -200,7 +205,37 @@ def test_a_dreamed_maze_is_an_environment(episodes):
     assert dreams.truncated[:, -1].all()
 
 
+def test_the_end_is_learned():
+    """A maze that ends on the goal: held-out ends are found, and others are not taken for one."""
+    env, params = FrameStack(Maze(size=3, num_obstacles=1)), MazeParams(max_steps=12)
+
+    def ending(seed):
+        played = rollout(env, act, jax.random.key(seed), params, 60)
+        home = (played.next_obs[..., -2] & played.next_obs[..., -1]).any((-1, -2))
+        before = jnp.cumsum(home, axis=1) - home == 0
+        return played._replace(terminated=home & before, mask=before)
+
+    model = pixels((3, 3, 3), 5, PixelConfig(LOCAL, terminates=True))
+    state = jax.jit(model.init)(jax.random.key(0), PixelHParams(1e-2))
+    seen = ending(1)
+
+    def step(state, _):
+        return model.update(state, seen, jax.random.key(0), PixelHParams(1e-2))
+
+    state, losses = jax.jit(lambda s: jax.lax.scan(step, s, length=150))(state)
+    assert losses["end_loss"][-1] < 0.1 * losses["end_loss"][0]
+    new = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), ending(2))
+    keys = jax.random.split(jax.random.key(3), new.action.shape[0])
+    ends = jax.vmap(model.predict, (None, 0, 0, 0))(state.params, new.obs, new.action, keys)
+    right = ((ends.terminated > 0.5) == new.terminated)[new.mask]
+    assert new.terminated.sum() > 10 and right.mean() > 0.97
+
+
 def test_clear_errors():
+    with pytest.raises(ValueError, match="number of channels"):
+        pixels((9, 9, 1), 5)
+    with pytest.raises(ValueError, match="kernels that fit"):
+        pixels((9, 9, 3), 5, PixelConfig(EncoderDecoder(3)))
     with pytest.raises(ValueError, match=r"threshold is 1\.5"):
         PixelConfig(threshold=1.5)
     with pytest.raises(ValueError, match="reward_weight"):

@@ -144,7 +144,8 @@ def dqn(
 
 def epsilon_now(episodes: jax.Array, hparams: DQNHParams) -> jax.Array:
     """The share of exploratory actions after so many real episodes."""
-    gone = jnp.clip(episodes / jnp.maximum(hparams.epsilon_episodes, 1e-6), 0, 1)
+    falling = (episodes - hparams.epsilon_hold) / jnp.maximum(hparams.epsilon_episodes, 1e-6)
+    gone = jnp.clip(falling, 0, 1)
     return hparams.epsilon_first + gone * (hparams.epsilon_last - hparams.epsilon_first)
 
 

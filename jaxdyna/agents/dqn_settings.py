@@ -17,9 +17,10 @@ class DQNHParams:
     Attributes:
         learning_rate: of the optimiser.
         discount: of the returns.
-        epsilon_first: share of exploratory actions in the first real episode.
-        epsilon_last: likewise once ``epsilon_episodes`` have been played; linear between.
-        epsilon_episodes: see there.
+        epsilon_first: share of exploratory actions in the first real episodes.
+        epsilon_last: likewise in the end; linear between.
+        epsilon_hold: real episodes for which it stays at the first.
+        epsilon_episodes: real episodes in which it then falls to the last.
         epsilon_fake: share of exploratory actions in dreams.
         fake_share: share of each batch that is drawn from fake transitions, once there are any.
         target_rate: how far the target network moves towards the online one at a time.
@@ -30,6 +31,7 @@ class DQNHParams:
     discount: float = 0.97
     epsilon_first: float = 1.0
     epsilon_last: float = 0.0
+    epsilon_hold: float = 0.0
     epsilon_episodes: float = 20.0
     epsilon_fake: float = 0.1
     fake_share: float = 0.75

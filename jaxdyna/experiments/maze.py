@@ -12,25 +12,25 @@ import shutil
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
 from jaxdyna.experiments import cli, maze_report, report
 from jaxdyna.experiments.checkpoint import Checkpoints
 from jaxdyna.experiments.maze_model import make_study
-from jaxdyna.experiments.maze_options import PRESETS, QUICK, Options
+from jaxdyna.experiments.maze_options import PRESETS, QUICK, Options, training_of
 from jaxdyna.experiments.progress import Bars
 from jaxdyna.experiments.report import Results
 from jaxdyna.experiments.run import deferred_interrupt
 from jaxdyna.experiments.storage import (
     plain,
     read_curves,
+    set_aside,
     write_curves,
     write_json,
     write_text,
@@ -41,148 +41,213 @@ PROG = "python -m jaxdyna.experiments.maze"
 NOT_SETTINGS = ("arms", "out", "resume")
 OF_THE_FIRST_SEED = ("seen", "truth", "belief", "film_truth", "film_dream")
 Curves = dict[str, dict[str, np.ndarray]]
-Timing = dict[str, dict[str, float]]
+Timing = dict[str, Any]
+
+PIECE_UPDATES = 250
+CHECKPOINT_SECONDS = 60.0
+NOTHING_SWEPT = np.float32(0)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the experiment from the command line; returns the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    presets = PRESETS
-    if "--quick" in arguments:
-        presets = {name: replace(preset, **QUICK) for name, preset in PRESETS.items()}
-    options = cli.parse(presets, arguments, PROG)
+    options = cli.parse(QUICK if "--quick" in arguments else PRESETS, arguments, PROG)
     out = options.out or Path("runs") / "maze-model"
+    typed = [argument for argument in arguments if argument != "--resume"]
+    record = Record(options, out, f"{PROG} {shlex.join(typed)}".strip())
     try:
+        if options.resume:
+            record.resume()
         cli.check_writable(out)
-        curves, timing, earlier_s = _resume(options, out) if options.resume else ({}, {}, 0.0)
     except ValueError as error:
         cli.fail(str(error), PROG)
     if not options.resume:
-        shutil.rmtree(out / "checkpoints", ignore_errors=True)
-    typed = [argument for argument in arguments if argument != "--resume"]
-    begun = time.perf_counter() - earlier_s
-
-    def results() -> Results:
-        return _results(options, f"{PROG} {shlex.join(typed)}".strip(), curves, timing, begun)
-
+        set_aside(out)
     console = Console(highlight=False)
     code = 0
     try:
-        for name, judged in _play(options, out, console, curves, timing):
-            curves[name] = judged
-            write_curves(out / "curves.npz", curves)
-            write_json(out / "results.json", results())
+        record.write()
+        _play(record, console)
         shutil.rmtree(out / "checkpoints", ignore_errors=True)
+    except jax.errors.JaxRuntimeError as error:
+        if "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        cli.fail("out of memory: lower --seeds or --episodes", PROG)
     except KeyboardInterrupt:
         code = 130
         console.print(
             f"Interrupted. What is finished is in {out}; the same command with --resume goes on."
         )
-    if curves:
-        maze_report.figures(out, curves, options)
-        final = results()
-        write_json(out / "results.json", final)
-        write_text(out / "report.md", maze_report.markdown(final, options))
-        maze_report.summary(console, final)
+    if record.curves:
+        maze_report.figures(out, record.curves, options)
+        results = record.write()
+        write_text(out / "report.md", maze_report.markdown(results, options, record.curves, out))
+        maze_report.summary(console, results)
         console.print(f"Report: {out / 'report.md'}")
     return code
 
 
-def _play(options: Options, out: Path, console: Console, curves: Curves, timing: Timing) -> Any:
-    """Yields ``ARM@STAGE`` and its judgements ``[seeds, ...]`` for all that is not there yet."""
+@dataclass
+class Record:
+    """What a run has come to so far, and its files.
+
+    Attributes:
+        options: its settings.
+        out: the folder.
+        command: as typed.
+        curves: judgements by ``ARM@STAGE``.
+        timing: seconds by arm.
+    """
+
+    options: Options
+    out: Path
+    command: str
+    curves: Curves = field(default_factory=dict)
+    timing: Timing = field(default_factory=dict)
+    begun: float = field(default_factory=time.perf_counter)
+
+    def write(self) -> Results:
+        """Writes ``curves.npz`` and ``results.json``; returns what is in the latter."""
+        write_curves(self.out / "curves.npz", self.curves)
+        spent = self.timing.values()
+        total = {part: sum(arm[part] for arm in spent) for part in ("compile_s", "run_s")}
+        total["total_s"] = time.perf_counter() - self.begun
+        results = {
+            "experiment": "maze_model",
+            "command": self.command,
+            "preset": self.options.preset,
+            "config": plain(self.options),
+            **report.environment(),
+            "timing": total | {"arms": self.timing},
+            "arms": maze_report.describe(self.curves, self.options),
+        }
+        write_json(self.out / "results.json", results)
+        return results
+
+    def resume(self) -> None:
+        """Reads what an earlier run with the same settings finished.
+
+        Raises:
+            ValueError: where there is no such run.
+        """
+        path = self.out / "results.json"
+        if not path.exists():
+            raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
+        before = json.loads(path.read_text())
+        now = json.loads(json.dumps(plain(self.options)))
+        newer = json.loads(json.dumps(plain(Options())))  # settings that did not exist then
+        earlier = newer | before["config"]
+        changed = [
+            name
+            for name, value in now.items()
+            if name not in NOT_SETTINGS and earlier[name] != value
+        ]
+        if changed:
+            flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+            raise ValueError(
+                f"the run in {self.out} had other settings for {flags}: "
+                "resume with the same, or choose another --out"
+            )
+        self.curves = read_curves(self.out / "curves.npz")
+        self.timing = before["timing"]["arms"]
+        self.command = before["command"]
+        self.begun -= before["timing"]["total_s"]
+
+
+def _play(record: Record, console: Console) -> None:
+    """Trains and judges whatever is not in the record yet."""
+    options, curves = record.options, record.curves
     stages = {arm: options.stages_of(arm) for arm in dict.fromkeys(options.arms)}
-    missing = {
-        arm: [stage for stage in played if f"{arm}@{stage}" not in curves]
-        for arm, played in stages.items()
+    left = [arm for arm in stages if not all(f"{arm}@{stage}" in curves for stage in stages[arm])]
+    totals: dict[str, int] = {
+        arm: len(played) * training_of(options, arm).updates for arm, played in stages.items()
     }
-    totals: dict[str, int] = {arm: len(played) for arm, played in stages.items()}
-    done = [arm for arm in stages if not missing[arm]]
+    done = [arm for arm in stages if arm not in left]
     with (
         Bars(console, totals, finished=done, runs=options.seeds) as bars,
         deferred_interrupt() as interrupted,
     ):
-        for arm in (arm for arm in stages if missing[arm]):
-            spent = timing.setdefault(arm, {"compile_s": 0.0, "run_s": 0.0})
-            bars.advance(arm, totals[arm] - len(missing[arm]), "compiling")
-            checkpoints = Checkpoints(out / "checkpoints" / arm)
-            began = time.perf_counter()
-            state, proceed = _compile(options, arm)
-            finished = totals[arm] - len(missing[arm])
-            if finished and checkpoints.exists():
-                state, [saved], _ = checkpoints.load(state)
-                finished = 1 + stages[arm].index(saved["stage"])
-            else:
-                finished = 0
-            missing[arm] = list(stages[arm][finished:])
-            spent["compile_s"] += time.perf_counter() - began
-            for stage in missing[arm]:
-                bars.advance(arm, stages[arm].index(stage), f"{stage} episodes")
-                began = time.perf_counter()
-                state, judged = proceed(state, stage, jnp.float32(0))
-                judged = jax.tree.map(lambda leaf: np.asarray(leaf[0]), judged)
-                spent["run_s"] += time.perf_counter() - began
-                for name in OF_THE_FIRST_SEED:
-                    judged[name] = judged[name][0]
-                yield f"{arm}@{stage}", judged
-                if stage != stages[arm][-1]:
-                    checkpoints.save(stage, state, {"stage": np.array(stage)}, spent["run_s"])
-                if interrupted:
-                    raise KeyboardInterrupt
-            shutil.rmtree(checkpoints.directory, ignore_errors=True)
-            bars.advance(arm, totals[arm], "")
+        for arm in left:
+            trainee = Trainee(record, arm, bars, interrupted)
+            for stage in stages[arm]:
+                trainee.play(stage)
+            shutil.rmtree(trainee.checkpoints.directory, ignore_errors=True)
 
 
-def _compile(options: Options, arm: str) -> tuple[Any, Any]:
-    """The runs before their first stage, and what plays a stage of them."""
-    study = make_study(options, arm)
-    block = 1 if jax.default_backend() == "cpu" else None
-    start, proceed = make_pieces(study.init, study.advance, block)
-    keys = jax.random.split(jax.random.key(options.seed), options.seeds)
-    nothing_swept = jnp.float32(0)
-    state = start(keys, nothing_swept)
-    program: Any = proceed
-    return state, program.lower(state, options.stages_of(arm)[0], nothing_swept).compile()
+class Trainee:
+    """All runs of an arm, from stage to stage.
 
-
-def _resume(options: Options, out: Path) -> tuple[Curves, Timing, float]:
-    """What an earlier run with the same settings finished, and the seconds it took.
-
-    Raises:
-        ValueError: where there is no such run.
+    Args:
+        record: where judgements go.
+        arm: its name.
+        bars: shows how far it is.
+        interrupted: not empty after Ctrl-C.
     """
-    path = out / "results.json"
-    if not path.exists():
-        raise ValueError(f"nothing to resume in {out}: run once without --resume")
-    before = json.loads(path.read_text())
-    now = json.loads(json.dumps(plain(options)))
-    changed = [
-        name
-        for name, value in now.items()
-        if name not in NOT_SETTINGS and before["config"].get(name) != value
-    ]
-    if changed:
-        flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
-        raise ValueError(
-            f"the run in {out} had other settings for {flags}: "
-            "resume with the same, or choose another --out"
-        )
-    timing = before["timing"]
-    return read_curves(out / "curves.npz"), timing["arms"], timing["total_s"]
 
+    def __init__(self, record: Record, arm: str, bars: Bars, interrupted: list[int]):
+        self.record, self.arm, self.bars, self.interrupted = record, arm, bars, interrupted
+        self.updates = training_of(record.options, arm).updates
+        self.checkpoints = Checkpoints(record.out / "checkpoints" / arm)
+        nothing: Timing = {"compile_s": 0.0, "run_s": 0.0, "stages": {}}
+        self.spent = record.timing.setdefault(arm, nothing)
+        bars.advance(arm, 0, "compiling")
+        began = time.perf_counter()
+        options = record.options
+        study, block = make_study(options, arm), 1 if jax.default_backend() == "cpu" else None
+        start, self._train = make_pieces(study.init, study.train, block)
+        self._judge = make_pieces(study.init, study.judge, block)[1]
+        keys = jax.random.split(jax.random.key(options.seed), options.seeds)
+        self.run, self.done, self.saved = start(keys, NOTHING_SWEPT), 0, began
+        if options.resume and self.checkpoints.exists():
+            kept, [counts], _ = self.checkpoints.load(self.run._replace(data=None))
+            self.run, self.done = kept._replace(data=self.run.data), int(counts["done"])
+        self._count("compile_s", began)
 
-def _results(
-    options: Options, command: str, curves: Curves, timing: Timing, begun: float
-) -> Results:
-    total = {part: sum(arm[part] for arm in timing.values()) for part in ("compile_s", "run_s")}
-    return {
-        "experiment": "maze_model",
-        "command": command,
-        "preset": options.preset,
-        "config": plain(options),
-        **report.environment(),
-        "timing": total | {"total_s": time.perf_counter() - begun, "arms": timing},
-        "arms": maze_report.describe(curves, options),
-    }
+    def play(self, stage: int) -> None:
+        """Trains up to the end of this stage and judges, unless that is done.
+
+        Raises:
+            KeyboardInterrupt: after Ctrl-C, once the piece in progress is done and saved.
+        """
+        name, stages = f"{self.arm}@{stage}", self.record.options.stages_of(self.arm)
+        end = (1 + stages.index(stage)) * self.updates
+        seconds = self.spent["stages"]
+        while self.done < end:
+            began = time.perf_counter()
+            self.bars.advance(self.arm, self.done, f"{stage} episodes")
+            updates = min(PIECE_UPDATES, end - self.done)
+            self.run, losses = self._train(self.run, (stage, updates), NOTHING_SWEPT)
+            jax.block_until_ready(losses)
+            self.done += updates
+            seconds[str(stage)] = seconds.get(str(stage), 0.0) + self._count("run_s", began)
+            self._save(due=self.done == end)
+        if name not in self.record.curves:
+            began = time.perf_counter()
+            self.bars.advance(self.arm, self.done, f"{stage} episodes, judging")
+            self.run, judged = self._judge(self.run, stage, NOTHING_SWEPT)
+            kept = jax.tree.map(lambda leaf: np.asarray(leaf[0]), judged)
+            kept |= {part: kept[part][0] for part in OF_THE_FIRST_SEED}
+            self._count("run_s", began)
+            self.record.curves[name] = kept
+            self.record.write()
+        self.bars.advance(self.arm, self.done, "")
+
+    def _save(self, due: bool) -> None:
+        """Writes a checkpoint where one is due; data is not in it."""
+        if not (due or self.interrupted or time.perf_counter() - self.saved > CHECKPOINT_SECONDS):
+            return
+        counts = {"done": np.array(self.done)}
+        self.checkpoints.save(self.done, self.run._replace(data=None), counts, self.spent["run_s"])
+        self.saved = time.perf_counter()
+        if self.interrupted:
+            self.record.write()
+            raise KeyboardInterrupt
+
+    def _count(self, part: str, began: float) -> float:
+        """Adds the seconds since ``began`` to a part of the arm's time; returns them."""
+        seconds = time.perf_counter() - began
+        self.spent[part] += seconds
+        return seconds
 
 
 if __name__ == "__main__":

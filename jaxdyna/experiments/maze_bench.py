@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -31,14 +31,14 @@ SCANNED = 20
 class Options:
     """Times one training step of the lean frame model in JAX and in PyTorch, in turns."""
 
-    preset: str = "lean"
+    preset: Literal["lean"] = "lean"
     """Only lean."""
     batch: int = 64
     """Transitions a step."""
     widths: tuple[int, ...] = (32, 32, 32)
     """Channels of the 3x3 convolutions."""
     rounds: int = 15
-    """Rounds of `20` steps each; the median round counts."""
+    """Rounds of 20 steps each; the median round counts."""
     out: Path = Path("runs/maze-bench")
     """Folder for the results."""
 
@@ -65,31 +65,31 @@ def random_batch(size: int) -> Transition:
 
 
 def jax_steps(batch: Any, widths: tuple[int, ...]) -> dict[str, Callable[[], Any]]:
-    """`SCANNED` steps, called one by one and as one scan; compiled before they are returned."""
+    """`SCANNED` steps, called one by one and as one scan."""
     model = pixels((16, 16, 3), 5, PixelConfig(LocalDynamics(3, widths)))
     hparams = PixelHParams()
     batch = jax.tree.map(jnp.asarray, batch)
     start = jax.jit(model.init)(jax.random.key(0), hparams)
 
     @jax.jit
-    def step(state: Any, key: jax.Array) -> Any:
+    def step(state: Any, batch: Any, key: jax.Array) -> Any:
         return model.update(state, batch, key, hparams)[0]
 
     @jax.jit
-    def scan(state: Any, keys: jax.Array) -> Any:
-        return jax.lax.scan(lambda state, key: (step(state, key), None), state, keys)[0]
+    def scan(state: Any, batch: Any, keys: jax.Array) -> Any:
+        return jax.lax.scan(lambda state, key: (step(state, batch, key), None), state, keys)[0]
 
     keys = jax.random.split(jax.random.key(1), SCANNED)
 
     def alone() -> None:
         state = start
         for key in keys:
-            state = step(state, key)
+            state = step(state, batch, key)
         jax.block_until_ready(state)
 
     return {
         "JAX, step by step": alone,
-        "JAX, in a scan": lambda: jax.block_until_ready(scan(start, keys)),
+        "JAX, in a scan": lambda: jax.block_until_ready(scan(start, batch, keys)),
     }
 
 
@@ -138,10 +138,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs the benchmark from the command line; returns the exit code."""
     options = cli.parse({"lean": Options()}, argv, PROG, spread=False)
     batch = random_batch(options.batch)
-    contenders = jax_steps(batch, options.widths)
     try:
         cli.check_writable(options.out)
-        contenders["PyTorch"] = torch_steps(batch, options.widths)
+        in_torch = torch_steps(batch, options.widths)
+        contenders = jax_steps(batch, options.widths) | {"PyTorch": in_torch}
     except ImportError:
         cli.fail("PyTorch is not installed: pip install 'jaxdyna[bench]'", PROG)
     except ValueError as error:

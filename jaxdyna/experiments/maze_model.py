@@ -11,10 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna import frame_replay
-from jaxdyna.envs import FrameStack, Maze, MazeParams
-from jaxdyna.experiments.maze_options import Options, Training, config_of, training_of
+from jaxdyna.envs.maze import MOVES
+from jaxdyna.experiments.maze_options import (
+    DREAM_FROM,
+    Options,
+    Training,
+    config_of,
+    training_of,
+    world,
+)
 from jaxdyna.frame_replay import FrameReplay
-from jaxdyna.models import PixelHParams, frame_probability, pixels
+from jaxdyna.models import PixelConfig, PixelHParams, frame_probability, pixels
 from jaxdyna.models.evaluation import open_loop
 from jaxdyna.replay import share_weight
 from jaxdyna.rollout import rollout
@@ -24,29 +31,42 @@ CLASSES = {"agent": 2, "obstacles": 0, "goal": 1}
 CHANNELS = np.array(list(CLASSES.values()))
 THRESHOLDS = np.round(np.arange(0.05, 0.96, 0.05), 2)
 REWARD_KINDS = ("collision", "goal", "neither")
-DREAM_FROM = 10
-SHOWN = 4
 
-ENV = FrameStack(Maze())
 Judgement = dict[str, jax.Array]
+
+
+class Run(NamedTuple):
+    """A run between two pieces of its training.
+
+    Attributes:
+        data: all its episodes; a key gives them again.
+        key: random key.
+        state: the model's.
+        done: int32, updates so far.
+    """
+
+    data: FrameReplay
+    key: Key
+    state: Any
+    done: jax.Array
 
 
 def random_act(obs: jax.Array, key: Key) -> jax.Array:
     """A uniformly random action."""
-    return jax.random.randint(key, (), 0, ENV.num_actions)
+    return jax.random.randint(key, (), 0, len(MOVES))
 
 
-def collect(key: Key, episodes: int, steps: int) -> FrameReplay:
+def collect(options: Options, key: Key, episodes: int) -> FrameReplay:
     """A replay of so many of the random policy's episodes."""
-    params = MazeParams(max_steps=steps)
+    env, params = world(options)
 
     def play(key: Key) -> Transition:
-        return rollout(ENV, random_act, key, params, 1, num_steps=steps)
+        return rollout(env, random_act, key, params, 1, num_steps=options.steps)
 
     example = jax.tree.map(
         lambda leaf: jax.ShapeDtypeStruct(leaf.shape[2:], leaf.dtype), jax.eval_shape(play, key)
     )
-    empty = frame_replay.init(episodes * steps, episodes, example)
+    empty = frame_replay.init(episodes * options.steps, episodes, example)
 
     def more(carry: tuple[FrameReplay, Key], _: None) -> tuple[tuple[FrameReplay, Key], None]:
         held, key = carry
@@ -56,44 +76,61 @@ def collect(key: Key, episodes: int, steps: int) -> FrameReplay:
     return jax.lax.scan(more, (empty, key), length=episodes)[0][0]
 
 
+def first_episodes(held: FrameReplay, episodes: Any, steps: int) -> FrameReplay:
+    """The replay as it was after so many (traced) episodes, which all lasted to their horizon."""
+    count = jnp.asarray(episodes, jnp.int32)
+    return replace(held, added=count * steps, episodes_added=count)
+
+
 class Study(NamedTuple):
-    """An arm's training from stage to stage, for `jaxdyna.sweep.make_pieces`.
+    """An arm's training from stage to stage, for `jaxdyna.sweep.make_pieces`. The stage, a number
+    of episodes, and the number of updates are traced: all of it is one program.
 
     Attributes:
-        init: ``(key, hparams) -> state``: a run before its first stage.
-        advance: ``(state, stage, hparams) -> (state, judgement)``: goes on training the model on
-            the first ``stage`` episodes (traced: every stage is the same program), and judges it.
+        init: ``(key, hparams) -> run``: before its first stage.
+        train: ``(run, (stage, updates), hparams) -> (run, losses)``: so many more updates on the
+            first ``stage`` episodes.
+        judge: ``(run, stage, hparams) -> (run, judgement)``.
     """
 
-    init: Callable[[Key, Any], Any]
-    advance: Callable[[Any, Any, Any], tuple[Any, Judgement]]
+    init: Callable[[Key, Any], Run]
+    train: Callable[[Run, Any, Any], tuple[Run, Judgement]]
+    judge: Callable[[Run, Any, Any], tuple[Run, Judgement]]
 
 
 def make_study(options: Options, arm: str) -> Study:
     """A key gives the same episodes, and the same ones held out, to every arm and stage."""
     config, training = config_of(options, arm), training_of(options, arm)
-    model = pixels((16, 16, 3), ENV.num_actions, config)
+    env, params = world(options)
+    model = make_model(options, config)
     hparams = PixelHParams(training.learning_rate)
 
-    def init(key: Key, _: Any) -> Any:
-        key, key_init = jax.random.split(key)
-        return key, model.init(key_init, hparams)
+    def init(key: Key, _: Any) -> Run:
+        key, key_init, key_data = jax.random.split(key, 3)
+        data = collect(options, key_data, options.episodes)
+        return Run(data, key, model.init(key_init, hparams), jnp.int32(0))
 
-    def advance(run: Any, stage: Any, _: Any) -> Any:
-        key, state = run
-        key_data, key_new, key_stage = jax.random.split(jax.random.clone(key), 3)
-        key_train, key_judge = jax.random.split(jax.random.fold_in(key_stage, stage))
-        held = collect(key_data, options.episodes, options.steps)
-        # Every episode lasts to its horizon: this is the replay as it was after so many of them.
-        held = replace(
-            held, added=stage * options.steps, episodes_added=jnp.asarray(stage, jnp.int32)
-        )
-        state, losses = _train(model, training, hparams, held, state, key_train)
-        params = MazeParams(max_steps=options.steps)
-        new = rollout(ENV, random_act, key_new, params, options.held_out, num_steps=options.steps)
-        return (key, state), judge(options, arm, state.params, new, key_judge) | losses
+    def train(run: Run, work: Any, _: Any) -> tuple[Run, Judgement]:
+        stage, updates = work
+        key, _ = jax.random.split(jax.random.clone(run.key))
+        held = first_episodes(run.data, stage, options.steps)
+        span = (run.done, run.done + updates)
+        state, loss = _train(model, training, hparams, held, run.state, key, span)
+        return run._replace(state=state, done=span[1]), {"frame_loss": loss}
 
-    return Study(init, advance)
+    def judged(run: Run, stage: Any, _: Any) -> tuple[Run, Judgement]:
+        _, key = jax.random.split(jax.random.clone(run.key))
+        key_new, key_judge = jax.random.split(key)
+        new = rollout(env, random_act, key_new, params, options.held_out, num_steps=options.steps)
+        now = jax.random.fold_in(key_judge, stage)
+        return run, judge(options, arm, run.state.params, new, now)
+
+    return Study(init, train, judged)
+
+
+def make_model(options: Options, config: PixelConfig) -> DynamicsModel:
+    """A model of the experiment's maze."""
+    return pixels((options.size, options.size, 3), len(MOVES), config)
 
 
 def _train(
@@ -103,21 +140,24 @@ def _train(
     held: FrameReplay,
     state: Any,
     key: Key,
-) -> tuple[Any, Judgement]:
-    """The updates of one stage; returns the model's state and its loss at the end."""
+    span: tuple[jax.Array, jax.Array],
+) -> tuple[Any, jax.Array]:
+    """The updates with these (traced) numbers, the last left out; returns the model's state and
+    their mean loss.
+    """
     weight = None
     if training.rare_share is not None:
         weight = share_weight(held.held, held.rest["reward"] != 0, training.rare_share)
 
-    def update(carry: Any, _: Any) -> Any:
-        state, key = carry
-        key, key_sample, key_update = jax.random.split(key, 3)
+    def update(number: jax.Array, carry: Any) -> Any:
+        state, total = carry
+        key_sample, key_update = jax.random.split(jax.random.fold_in(key, number))
         batch = frame_replay.sample(held, key_sample, (training.batch,), weight)
         state, losses = model.update(state, batch, key_update, hparams)
-        return (state, key), losses["frame_loss"]
+        return state, total + losses["frame_loss"]
 
-    (state, _), losses = jax.lax.scan(update, (state, key), length=training.updates)
-    return state, {"last_loss": losses[-min(100, training.updates) :].mean()}
+    state, total = jax.lax.fori_loop(*span, update, (state, jnp.float32(0)))
+    return state, total / jnp.maximum(span[1] - span[0], 1)
 
 
 def judge(options: Options, arm: str, params: Any, new: Transition, key: Key) -> Judgement:
@@ -134,14 +174,14 @@ def judge(options: Options, arm: str, params: Any, new: Transition, key: Key) ->
         ``one_step`` ``[thresholds, classes, 3]``: pixels rightly lit, lit, and to be lit; ``mass``
         ``[classes, 2]``: sums of a belief and of its square; ``reward`` ``[kinds, 2]``: rewards
         right to within 0.5, and all; ``dream_lit`` and ``dream_drawn`` ``[horizon, classes, 3]``
-        as ``one_step`` for open-loop dreams; ``seen``, ``truth`` and ``belief`` of a few steps;
+        as ``one_step`` for open-loop dreams; ``seen``, ``truth`` and ``belief`` of two steps;
         ``film_truth`` and ``film_dream`` ``[horizon, H, W, 3]``.
     """
     key_reward, key_lit, key_drawn = jax.random.split(key, 3)
     config = config_of(options, arm)
-    model = pixels((16, 16, 3), ENV.num_actions, config)
-    drawing = pixels((16, 16, 3), ENV.num_actions, replace(config, threshold=None))
-    believe = frame_probability(ENV.num_actions, config)
+    model = make_model(options, config)
+    drawing = make_model(options, replace(config, threshold=None))
+    believe = frame_probability(len(MOVES), config)
 
     def one_by_one(key: Key, episode: Transition) -> tuple[Key, Judgement]:
         key, key_now = jax.random.split(key)
@@ -160,7 +200,7 @@ def judge(options: Options, arm: str, params: Any, new: Transition, key: Key) ->
         return jax.vmap(one)(new.obs[:, DREAM_FROM], new.action[:, span], keys)
 
     lit, drawn = dream(model, key_lit), dream(drawing, key_drawn)
-    shown = jax.tree.map(lambda leaf: leaf[0, DREAM_FROM + 10 * np.arange(SHOWN)], new)
+    shown = jax.tree.map(lambda leaf: leaf[0, DREAM_FROM - 2 : DREAM_FROM], new)
     return judgement | {
         "dream_lit": _counts(lit > 0, truth > 0, (0, 2, 3)),
         "dream_drawn": _counts(drawn > 0, truth > 0, (0, 2, 3)),

@@ -1,18 +1,22 @@
-"""The settings of the Maze experiment: its command line and what its models are."""
+"""The settings of frame prediction in the Maze: its command line and what its models are."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
 import optax
 
+from jaxdyna.envs import FrameStack, Maze, MazeParams
 from jaxdyna.experiments import cli
 from jaxdyna.losses import bce, l1, l2
 from jaxdyna.models import PixelConfig
 from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalReward
+
+DREAM_FROM = 10
+"""Step of a held-out episode from which models dream."""
 
 ModelName = Literal["paper", "paper_l2", "paper_l1", "lean", "lean_l2", "lean_l1"]
 
@@ -52,7 +56,8 @@ class Options:
     preset: Literal["paper", "lean"] = "paper"
     """Which arms are played by default: paper, the paper's model beside ours; lean, ours alone."""
     quick: bool = False
-    """A look at everything in minutes: fewer seeds, episodes and updates, narrower networks."""
+    """A look at everything in minutes: fewer seeds, episodes and updates, narrower networks; under
+    paper with its other losses beside it."""
     seeds: int = 10
     """Runs of every arm, all in one jitted program."""
     seed: int = 0
@@ -60,22 +65,36 @@ class Options:
     episodes: int = 300
     """Episodes of the random policy at the most."""
     stages: tuple[int, ...] = (10, 30, 100, 300)
-    """After how many of them a model is trained and judged; those above --episodes are left out."""
+    """After how many of them a model is trained further, from where the stage before left it, and
+    judged; those above --episodes are left out."""
     ablation_stage: int = 100
     """The stage at which losses are compared: the last one of models with another loss."""
     arms: tuple[ModelName, ...] = ("paper", "lean")
     """paper: Fig. 4 with the multi-label cross-entropy; lean: convolutions throughout; with _l1 and
-    _l2 the same network under another loss."""
+    _l2 the same network under another loss, to compare losses and thresholds."""
     out: Path | None = None
     """Folder for the results; runs/maze-model by default."""
     resume: bool = False
     """Go on with the run in that folder: stages that are finished are not repeated."""
     widths: tuple[int, ...] = (32, 32, 32)
     """Channels of the paper's three convolutions; the authors' code has 128 in each."""
+    kernels: tuple[int, ...] = (5, 4, 4)
+    """Cells a side of their kernels."""
     dense: int = 1024
     """Width of the paper's dense layer."""
     lean_widths: tuple[int, ...] = (32, 32, 32)
     """Channels of our 3x3 convolutions."""
+    reward: Literal["own", "joint", "local", "none"] = "own"
+    """Reward head: joint, off the features of stack and action; local, a sum over cells of the
+    predicted frame; none; own: joint for the paper's model, local for ours."""
+    size: int = 16
+    """Cells a side of the maze."""
+    obstacles: int = 5
+    """How many there are."""
+    collision_reward: float = -5.0
+    """Earned on a step that ends on an obstacle's cell."""
+    goal_reward: float = 1.0
+    """Earned on a step that ends on the goal."""
     steps: int = 200
     """Steps of an episode."""
     held_out: int = 20
@@ -97,12 +116,21 @@ class Options:
             raise ValueError(
                 f"--episodes is {self.episodes}, less than the first of --stages: raise it"
             )
-        if len(self.widths) != len(EncoderDecoder(3).kernels) or min(self.widths) < 1:
-            raise ValueError("--widths: give three numbers of channels")
+        if len(self.widths) != 3 or len(self.kernels) != 3 or min(self.widths) < 1:
+            raise ValueError("--widths and --kernels: give three numbers each, at least 1")
+        if min(self.kernels) < 1 or sum(self.kernels) - 3 >= self.size:
+            raise ValueError(
+                f"--kernels {self.kernels} leave nothing of a maze of {self.size} cells a side: "
+                "give smaller ones, or a larger --size"
+            )
         if min(self.lean_widths, default=0) < 1 or self.dense < 1:
             raise ValueError("--lean-widths and --dense: give numbers of at least 1")
-        if not 2 <= self.horizon < self.steps or self.held_out < 1:
-            raise ValueError("--horizon must lie in 2..steps - 1, --held-out be at least 1")
+        if self.held_out < 1 or self.horizon < 1 or DREAM_FROM + self.horizon > self.steps:
+            raise ValueError(
+                f"--held-out and --horizon must be at least 1, and {DREAM_FROM} + --horizon, where "
+                "dreams end, at most --steps"
+            )
+        world(self)
 
     @property
     def played_stages(self) -> tuple[int, ...]:
@@ -119,10 +147,16 @@ class Options:
         return tuple(stage for stage in self.played_stages if stage <= last)
 
 
+def world(options: Options) -> tuple[FrameStack, MazeParams]:
+    """The maze, seen as stacked frames, and its params."""
+    params = MazeParams(options.collision_reward, options.goal_reward, options.steps)
+    return FrameStack(Maze(options.size, options.obstacles)), params
+
+
 PAPER = Options()
-PRESETS = {"paper": PAPER, "lean": Options(preset="lean", arms=("lean",))}
-QUICK: dict[str, Any] = {
-    "arms": ("paper", "paper_l2", "paper_l1", "lean"),
+LEAN = Options(preset="lean", arms=("lean",))
+PRESETS = {"paper": PAPER, "lean": LEAN}
+_FEW: dict[str, Any] = {
     "seeds": 2,
     "episodes": 100,
     "held_out": 5,
@@ -131,6 +165,10 @@ QUICK: dict[str, Any] = {
     "lean_widths": (32, 32),
     "paper": Training(300, 32, 3e-3, 0.2, None),
     "lean": Training(500, 32, 1e-2),
+}
+QUICK = {
+    "paper": replace(PAPER, **_FEW, arms=("paper", "paper_l2", "paper_l1", "lean")),
+    "lean": replace(LEAN, **_FEW),
 }
 
 
@@ -146,12 +184,16 @@ def config_of(options: Options, arm: str) -> PixelConfig:
     loss = {"l1": l1, "l2": l2}.get(arm.partition("_")[2], bce)
     training = training_of(options, arm)
     optimizer = cosine_adam(training.updates, training.weight_decay)
+    own = "joint" if arm.startswith("paper") else "local"
+    head = {"joint": JointReward(), "local": LocalReward(), "none": None}[
+        own if options.reward == "own" else options.reward
+    ]
     if arm.startswith("paper"):
-        coder = EncoderDecoder(3, tuple(options.widths), dense=options.dense)
+        coder = EncoderDecoder(3, tuple(options.widths), tuple(options.kernels), options.dense)
         threshold = 0.2 if loss is bce else 0.5
-        return PixelConfig(coder, loss, threshold, JointReward(), optimizer=optimizer)
+        return PixelConfig(coder, loss, threshold, head, optimizer=optimizer)
     local = LocalDynamics(3, tuple(options.lean_widths))
-    return PixelConfig(local, loss, 0.5, LocalReward(), optimizer=optimizer)
+    return PixelConfig(local, loss, 0.5, head, optimizer=optimizer)
 
 
 @cache

@@ -1,4 +1,4 @@
-"""What the Maze's model experiment leaves behind: the F1 table, Fig. 7, dreams, rewards."""
+"""What frame prediction in the Maze leaves behind: the F1 table, Fig. 7, dreams, rewards."""
 
 from __future__ import annotations
 
@@ -6,61 +6,84 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 from rich.console import Console
 
+from jaxdyna import frame_replay
+from jaxdyna.experiments import maze_tables as tables
 from jaxdyna.experiments import plots_frames, report
-from jaxdyna.experiments.maze_model import CLASSES, REWARD_KINDS, THRESHOLDS, f1
-from jaxdyna.experiments.maze_options import Options, config_of, training_of
-from jaxdyna.experiments.report import Results, interval, markdown_table
+from jaxdyna.experiments.maze_model import CLASSES, REWARD_KINDS, THRESHOLDS, collect, f1
+from jaxdyna.experiments.maze_options import DREAM_FROM, Options, config_of, training_of
+from jaxdyna.experiments.report import Results, markdown_table
 from jaxdyna.statistics import bootstrap_interval
 
-PAPER_F1 = {10: (0.83, 0.22, 0.97), 100: (0.92, 0.83, 0.99), 300: (0.98, 0.93, 1.0)}
 HORIZONS = (1, 5, 10, 25, 50)
-Curves = Mapping[str, Mapping[str, np.ndarray]]
+Judged = Mapping[str, np.ndarray]
+Curves = Mapping[str, Judged]
 
 
 def describe(curves: Curves, options: Options) -> Results:
-    """By arm and stage: F1 a class, rewards right a kind, F1 of dreams by step, blur."""
+    """By arm and stage: F1 a class, at the threshold used and at others; what is believed to be
+    lit, and blur; rewards right a kind; F1 and error of dreams by step.
+    """
     arms: Results = {}
     for name, judged in curves.items():
         arm, _, stage = name.partition("@")
-        scores = f1(judged["one_step"])[:, _used(options, arm)]
-        rewards = judged["reward"].sum(0)
-        dreams = {
-            rule: {
-                str(step): _summaries(f1(judged[f"dream_{rule}"])[:, step - 1])
-                for step in HORIZONS
-                if step <= options.horizon
-            }
-            for rule in ("lit", "drawn")
-        }
+        stages = options.stages_of(arm)
+        scores = f1(judged["one_step"])
+        lit = np.maximum(judged["one_step"][:, 0, :, 2], 1)
         arms.setdefault(arm, {})[stage] = {
-            "f1": _summaries(scores),
-            "blur": _summaries(_blur(judged["mass"])),
-            "reward_right": {
-                kind: {"right": int(right), "of": int(total)}
-                for kind, (right, total) in zip(REWARD_KINDS, rewards, strict=True)
+            "updates": training_of(options, arm).updates * (1 + stages.index(int(stage))),
+            "f1": _summaries(scores[:, _used(options, arm)]),
+            "f1_by_threshold": {
+                f"{threshold:g}": dict(
+                    zip(CLASSES, scores[:, number].mean(0).tolist(), strict=True)
+                )
+                for number, threshold in enumerate(THRESHOLDS)
             },
-            "dream_f1": dreams,
+            "believed": _summaries(judged["mass"][..., 0] / lit),
+            "blur": _summaries((judged["mass"][..., 0] - judged["mass"][..., 1]) / lit),
+            "reward_right": {
+                kind: _share(judged["reward"][:, number])
+                for number, kind in enumerate(REWARD_KINDS)
+            },
+            **_dreams(judged, options),
         }
     return arms
 
 
+def _dreams(judged: Judged, options: Options) -> Results:
+    pixels = options.held_out * options.size**2
+    steps = [step for step in HORIZONS if step <= options.horizon]
+    described: Results = {"dream_f1": {}, "dream_error": {}}
+    for rule in tables.RULES:
+        counts = judged[f"dream_{rule}"]
+        wrong = (counts[..., 1] + counts[..., 2] - 2 * counts[..., 0]) / pixels
+        scores = f1(counts)
+        described["dream_f1"][rule] = {str(n): _summaries(scores[:, n - 1]) for n in steps}
+        described["dream_error"][rule] = {str(n): _summaries(wrong[:, n - 1]) for n in steps}
+    return described
+
+
 def figures(out: Path, curves: Curves, options: Options) -> None:
     """``fig7_ARM.png``, ``dream_ARM.gif``, ``thresholds.png``, ``losses.png``, ``horizon.png``."""
-    by_arm: dict[str, dict[int, Mapping[str, np.ndarray]]] = {}
+    by_arm: dict[str, dict[int, Judged]] = {}
     for name, judged in curves.items():
         arm, _, stage = name.partition("@")
         by_arm.setdefault(arm, {})[int(stage)] = judged
-    for arm in (arm for arm in ("paper", "lean") if arm in by_arm):
+    dreams = {}
+    for arm in (arm for arm in tables.DREAMERS if arm in by_arm):
         stages = dict(sorted(by_arm[arm].items()))
         last = stages[max(stages)]
         rows = {f"{stage} episodes": _step(judged) for stage, judged in stages.items()}
         plots_frames.prediction_grid(out / f"fig7_{arm}.png", rows, last["seen"][1] / 255)
-        columns = {"truth": last["film_truth"], "dream": last["film_dream"]}
+        columns = {"truth": last["film_truth"], f"{arm} dreams": last["film_dream"]}
         plots_frames.film(out / f"dream_{arm}.gif", columns)
-    compared = {arm: stages[_common(options, stages)] for arm, stages in by_arm.items()}
+        for rule, said in tables.RULES.items():
+            dreams[f"{arm}, {said}"] = f1(last[f"dream_{rule}"])
+    at = _compared_stage(options, curves)
+    compared = {arm: stages[at] for arm, stages in by_arm.items() if at in stages}
     plots_frames.score_by_threshold(
         out / "thresholds.png",
         THRESHOLDS,
@@ -68,146 +91,116 @@ def figures(out: Path, curves: Curves, options: Options) -> None:
         list(CLASSES),
         {arm: THRESHOLDS[_used(options, arm)] for arm in compared},
     )
-    first = next(iter(compared.values()))
     plots_frames.prediction_grid(
         out / "losses.png",
         {arm: _step(judged) for arm, judged in compared.items()},
-        first["seen"][1] / 255,
+        next(iter(compared.values()))["seen"][1] / 255,
     )
-    dreams = {
-        f"{arm}, {'threshold' if rule == 'lit' else 'drawn'}": f1(judged[f"dream_{rule}"])
-        for arm, judged in compared.items()
-        for rule in ("lit", "drawn")
-        if arm in ("paper", "lean")
-    }
     if dreams:
         plots_frames.score_by_horizon(out / "horizon.png", dreams, list(CLASSES))
 
 
-def markdown(results: Results, options: Options) -> str:
-    """The report."""
+def markdown(results: Results, options: Options, curves: Curves, out: Path) -> str:
+    """The report, with the figures that are in ``out``."""
+    stage = str(_compared_stage(options, curves))
     parts = [
         "# The Maze: predicting frames",
         f"`{results['command']}`",
-        f"{options.seeds} runs. In each a random policy plays {options.episodes} episodes of "
-        f"{options.steps} steps; a model is trained on the first so many of them, four frames and "
-        f"the action in, the next frame out, and judged on {options.held_out} new episodes of the "
-        "random policy. F1 of lit pixels over all steps, the first ones included, where four equal "
-        "frames do not tell which way the obstacles will go. Mean over runs and 95% interval.",
-        markdown_table(*f1_table(results)),
-        *(f"- `{arm}`: {_setting(options, arm)}" for arm in results["arms"]),
-        "![input, truth, belief and error at each stage](fig7_lean.png)"
-        if "lean" in results["arms"]
-        else "",
-        "![the same for the paper's model](fig7_paper.png)" if "paper" in results["arms"] else "",
+        f"{options.seeds} runs. In each a uniformly random policy plays {options.episodes} "
+        f"episodes of {options.steps} steps, which the replay keeps at {_bytes(options):.0f} bytes "
+        "a transition. A model, four frames and the action in, the next frame out, is trained on "
+        "the first so many of them, at each stage from where the one before left it, and judged "
+        f"on {options.held_out} new episodes of the same policy: F1 of lit pixels over all steps, "
+        "the first ones included, where four equal frames do not tell which way the obstacles "
+        "will go. Mean over runs and 95% interval.",
+        markdown_table(*tables.scores(results)),
+        "\n".join(f"- `{arm}`: {_setting(options, arm)}" for arm in results["arms"]),
+        _picture(out, "fig7_lean.png", "input, truth, belief and error at each stage"),
+        _picture(out, "fig7_paper.png", "the same for the paper's model"),
         "## Losses and thresholds",
-        f"After {_stages_said(results, options)}. Blur: the share of what is believed to be lit "
-        "that lies in pixels believed in by halves, 1 - sum of squares over sum; 0 where every "
-        "pixel is black or white.",
-        markdown_table(*_blur_table(results, options)),
-        "![F1 against threshold](thresholds.png)",
-        "![one step under each loss](losses.png)",
+        f"After {stage} episodes. Believed: the sum of what the model believes to be lit over the "
+        "pixels that are, 0 for a model that has gone dark. Blur: the sum of p(1 - p) over the "
+        f"same, 0 where every pixel is believed to be black or lit.{_others_said(results)}",
+        markdown_table(*tables.losses(results, stage)),
+        markdown_table(*tables.thresholds(results, stage)),
+        _picture(out, "thresholds.png", "F1 against threshold"),
+        _picture(out, "losses.png", "one step under each loss"),
         "## Rewards",
-        "Predicted to within 0.5 on the predicted frame, all runs together.",
-        markdown_table(*_reward_table(results)),
-        "## Dreams",
-        f"F1 after so many steps fed with its own frames, actions as recorded, from step 10 of the "
-        f"held-out episodes on; after {_stages_said(results, options)}. Frames are lit above the "
-        "threshold, or each pixel is drawn with the probability that it is believed to be lit.",
-        markdown_table(*_dream_table(results, options)),
-        "![F1 against dreamed steps](horizon.png)",
-        *(f"![dream of `{arm}` beside the truth](dream_{arm}.gif)"
-          for arm in ("paper", "lean") if arm in results["arms"]),
+        "Share predicted to within 0.5 on the predicted frame, by what the step earned.",
+        markdown_table(*tables.rewards(results)),
+        *_dreams_said(results, out),
         "## Time",
-        markdown_table(*_time_table(results)),
-    ]  # fmt: skip
+        "Seconds of all runs together up to the end of a stage; compiling and judging apart.",
+        markdown_table(*tables.times(results)),
+    ]
     return "\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
+
+
+def _dreams_said(results: Results, out: Path) -> list[str]:
+    if not any(arm in results["arms"] for arm in tables.DREAMERS):
+        return []
+    films = [
+        _picture(out, f"dream_{arm}.gif", f"dream of {arm} beside the truth, after the last stage")
+        for arm in tables.DREAMERS
+    ]
+    return [
+        "## Dreams",
+        f"So many steps fed with its own frames, actions as recorded, from step {DREAM_FROM} of "
+        "the held-out episodes on, after the last stage. Frames are lit above the threshold, or "
+        "each pixel is drawn with the probability that it is believed to be lit. Wrong: share of "
+        f"all pixels. {tables.drift_said(results)}",
+        markdown_table(*tables.dreams(results)),
+        _picture(out, "horizon.png", "F1 against dreamed steps"),
+        *films,
+    ]
 
 
 def summary(console: Console, results: Results) -> None:
     """The F1 table in the terminal."""
-    report.print_table(console, "F1 of predicted frames", *f1_table(results))
+    header, rows = tables.scores(results)
+    short = [[row[0], row[1], *(cell.partition(" ")[0] for cell in row[3:])] for row in rows]
+    report.print_table(console, "F1 of predicted frames", [*header[:2], *header[3:]], short)
     console.print(f"{results['timing']['total_s']:.0f} s in all")
-
-
-def f1_table(results: Results) -> tuple[list[str], list[list[str]]]:
-    """F1 by model, stage and class, the paper's own figures beside its model's."""
-    header = ["model", "episodes", *CLASSES]
-    rows = []
-    for stage, scores in PAPER_F1.items():
-        rows.append(["paper's figures", str(stage), *(f"{score:.2f}" for score in scores)])
-    for arm, stages in results["arms"].items():
-        for stage, judged in sorted(stages.items(), key=lambda item: int(item[0])):
-            rows.append([arm, stage, *(_cell(judged["f1"][name]) for name in CLASSES)])
-    return header, rows
-
-
-def _blur_table(results: Results, options: Options) -> tuple[list[str], list[list[str]]]:
-    header = [
-        "model",
-        "loss",
-        *(f"blur, {name}" for name in CLASSES),
-        *(f"F1, {name}" for name in CLASSES),
-    ]
-    rows = []
-    for arm, stages in results["arms"].items():
-        judged = stages[str(_common(options, {int(stage): None for stage in stages}))]
-        loss = arm.partition("_")[2] or "cross-entropy"
-        cells = [_cell(judged[part][name]) for part in ("blur", "f1") for name in CLASSES]
-        rows.append([arm, loss, *cells])
-    return header, rows
-
-
-def _reward_table(results: Results) -> tuple[list[str], list[list[str]]]:
-    rows = []
-    for arm, stages in results["arms"].items():
-        for stage, judged in sorted(stages.items(), key=lambda item: int(item[0])):
-            cells = [
-                f"{100 * counts['right'] / max(counts['of'], 1):.1f}% of {counts['of']:,}"
-                for counts in judged["reward_right"].values()
-            ]
-            rows.append([arm, stage, *cells])
-    return ["model", "episodes", *REWARD_KINDS], rows
-
-
-def _dream_table(results: Results, options: Options) -> tuple[list[str], list[list[str]]]:
-    header = ["model", "frames", "step", *CLASSES]
-    rows = []
-    for arm, stages in results["arms"].items():
-        if arm not in ("paper", "lean"):
-            continue
-        judged = stages[str(_common(options, {int(stage): None for stage in stages}))]
-        for rule, steps in judged["dream_f1"].items():
-            said = "threshold" if rule == "lit" else "drawn"
-            for step, scores in steps.items():
-                rows.append([arm, said, step, *(_cell(scores[name]) for name in CLASSES)])
-    return header, rows
-
-
-def _time_table(results: Results) -> tuple[list[str], list[list[str]]]:
-    rows = [
-        [arm, f"{spent['compile_s']:.0f}", f"{spent['run_s']:.0f}"]
-        for arm, spent in results["timing"]["arms"].items()
-    ]
-    cores = results["device"]["cpu_cores"]
-    return [f"model ({cores} cores)", "compiling (s)", "training and judging (s)"], rows
 
 
 def _setting(options: Options, arm: str) -> str:
     config, training = config_of(options, arm), training_of(options, arm)
-    network = type(config.network).__name__
-    widths = options.widths if arm.startswith("paper") else options.lean_widths
+    coder = f", kernels {options.kernels}, dense {options.dense}"
+    size = (
+        f"{options.widths} channels{coder}"
+        if arm.startswith("paper")
+        else f"{options.lean_widths} channels"
+    )
     share = (
         f", a share of {training.rare_share:g} from steps with a reward"
         if training.rare_share is not None
         else ""
     )
+    head = f"reward by {type(config.reward).__name__}" if config.reward else "no reward head"
     return (
-        f"{network} with {widths} channels, {training.updates:,} updates on batches of "
-        f"{training.batch}{share}, Adam from {training.learning_rate:g} down along a cosine with "
-        f"weight decay {training.weight_decay:g}, "
-        f"lit above {config.threshold:g}, reward by {type(config.reward).__name__}"
+        f"{type(config.network).__name__} with {size}, {tables.loss_of(arm)}, "
+        f"{training.updates:,} updates a stage on batches of {training.batch}{share}, Adam from "
+        f"{training.learning_rate:g} down along a cosine with weight decay "
+        f"{training.weight_decay:g}, lit above {config.threshold:g}, {head}"
     )
+
+
+def _others_said(results: Results) -> str:
+    if any("_" in arm for arm in results["arms"]):
+        return ""
+    return " Other losses were not played here: `--arms lean lean_l2 lean_l1` compares them."
+
+
+def _picture(out: Path, name: str, said: str) -> str:
+    return f"![{said}]({name})" if (out / name).exists() else ""
+
+
+def _bytes(options: Options) -> float:
+    """Bytes that the replay takes for a transition."""
+    held: Any = jax.eval_shape(
+        lambda key: collect(options, key, options.episodes), jax.random.key(0)
+    )
+    return frame_replay.bytes_per_transition(held)
 
 
 def _used(options: Options, arm: str) -> int:
@@ -216,22 +209,28 @@ def _used(options: Options, arm: str) -> int:
     return int(np.argmin(np.abs(THRESHOLDS - (0.5 if threshold is None else threshold))))
 
 
-def _common(options: Options, stages: Mapping[int, Any]) -> int:
-    """The stage nearest to the one of the ablation."""
-    return min(stages, key=lambda stage: abs(stage - options.ablation_stage))
+def _compared_stage(options: Options, curves: Curves) -> int:
+    """Of the stages that most arms have finished, the one nearest to that of the ablation."""
+    finished = [int(name.partition("@")[2]) for name in curves]
+    most = max(finished.count(stage) for stage in finished)
+    common = {stage for stage in finished if finished.count(stage) == most}
+    return min(common, key=lambda stage: abs(stage - options.ablation_stage))
 
 
-def _stages_said(results: Results, options: Options) -> str:
-    stages = {int(stage) for arm in results["arms"].values() for stage in arm}
-    return f"{_common(options, dict.fromkeys(stages))} episodes"
-
-
-def _step(judged: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _step(judged: Judged) -> tuple[np.ndarray, np.ndarray]:
     return judged["truth"][1] / 255, judged["belief"][1]
 
 
-def _blur(mass: np.ndarray) -> np.ndarray:
-    return 1 - mass[..., 1] / np.maximum(mass[..., 0], 1e-6)
+def _share(counts: np.ndarray) -> Results:
+    """Of counts ``[seeds, 2]``, right and all: the share of those seeds that have any."""
+    some = counts[counts[:, 1] > 0]
+    share = some[:, 0] / some[:, 1]
+    return {
+        "mean": float(share.mean()) if len(some) else None,
+        "ci95": bootstrap_interval(share, _row_means) if len(some) else None,
+        "right": int(counts[:, 0].sum()),
+        "steps": int(counts[:, 1].sum()),
+    }
 
 
 def _summaries(values: np.ndarray) -> Results:
@@ -239,12 +238,12 @@ def _summaries(values: np.ndarray) -> Results:
     return {
         name: {
             "mean": float(column.mean()),
-            "ci95": bootstrap_interval(column, lambda rows: rows.mean(-1)),
+            "ci95": bootstrap_interval(column, _row_means),
             "per_seed": column.tolist(),
         }
         for name, column in zip(CLASSES, values.T, strict=True)
     }
 
 
-def _cell(summary: Results) -> str:
-    return f"{summary['mean']:.3f} ({interval(summary['ci95'], 3)})"
+def _row_means(rows: np.ndarray) -> np.ndarray:
+    return rows.mean(-1)

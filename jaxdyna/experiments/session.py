@@ -28,6 +28,7 @@ from jaxdyna.experiments.storage import (
     MANY_SEEDS,
     plain,
     read_curves,
+    set_aside,
     slim,
     write_curves,
     write_json,
@@ -99,7 +100,7 @@ class Session:
         except ValueError as error:
             cli.fail(str(error), self.prog)
         if not self.options.resume:
-            self._set_aside()
+            set_aside(self.out)
         (self.out / "checkpoints").mkdir(exist_ok=True)
         write_json(self.out / "checkpoints" / "settings.json", self._settings())
         code = 0
@@ -181,17 +182,6 @@ class Session:
     def _as_typed(self) -> str:
         from_start = [argument for argument in self.argv if argument != "--resume"]
         return f"{self.prog} {shlex.join(from_start)}".strip()
-
-    def _set_aside(self) -> None:
-        """Moves an earlier run's results into the folder ``previous``."""
-        shutil.rmtree(self.out / "checkpoints", ignore_errors=True)
-        if not (self.out / "results.json").exists():
-            return
-        shutil.rmtree(self.out / "previous", ignore_errors=True)
-        (self.out / "previous").mkdir()
-        for pattern in ("results.json", "curves.npz", "report.md", "*.png"):
-            for file in self.out.glob(pattern):
-                file.rename(self.out / "previous" / file.name)
 
     def _settings(self) -> Results:
         return _settings(plain(self.options))

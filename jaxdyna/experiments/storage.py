@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,18 @@ def read_curves(path: Path) -> dict[str, dict[str, np.ndarray]]:
                 arm, _, metric = name.partition("/")
                 arms.setdefault(arm, {})[metric] = stored[name]
     return arms
+
+
+def set_aside(out: Path) -> None:
+    """Moves an earlier run's results into the folder ``previous`` and drops its checkpoints."""
+    shutil.rmtree(out / "checkpoints", ignore_errors=True)
+    if not (out / "results.json").exists():
+        return
+    shutil.rmtree(out / "previous", ignore_errors=True)
+    (out / "previous").mkdir()
+    for pattern in ("results.json", "curves.npz", "report.md", "*.png", "*.gif"):
+        for file in out.glob(pattern):
+            file.rename(out / "previous" / file.name)
 
 
 def write_text(path: Path, text: str) -> None:

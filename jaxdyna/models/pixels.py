@@ -32,8 +32,8 @@ class PixelConfig:
     """What decides the program.
 
     Attributes:
-        network: a module ``(stack [N, H, W, C * frames], action [N, actions], train) -> (raw [N, H,
-            W, C], features)``: `jaxdyna.networks.EncoderDecoder` is the paper's.
+        network: a module ``(stack [N, H, W, C * frames], action [N, actions], train, valid [N]) ->
+            (raw [N, H, W, C], features)``: `jaxdyna.networks.EncoderDecoder` is the paper's.
         loss: of the pixels.
         threshold: a pixel is lit where it is believed to be with a greater probability (the
             paper's is 0.2); None draws it with that probability.
@@ -85,10 +85,14 @@ def pixels(
     Returns:
         A `DynamicsModel` whose hparams are `PixelHParams`; ``predict`` returns the next stack, its
         new frame with every channel 0 or 255.
+
+    Raises:
+        ValueError: where the network predicts pictures of another shape.
     """
     config = config or PixelConfig()
     channels = frame_shape[-1]
     module = FrameModel(config.network, config.reward, config.terminates)
+    _check_shape(config.network, frame_shape, num_actions, num_frames)
 
     def init(key: Key, hparams: PixelHParams) -> PixelState:
         stack = jnp.zeros((2, *frame_shape[:2], channels * num_frames))
@@ -99,7 +103,7 @@ def pixels(
 
     def predict(params: Any, obs: jax.Array, action: jax.Array, key: Key) -> Prediction:
         stack, one_hot = _scale(obs[None]), jax.nn.one_hot(action[None], num_actions)
-        raw, features = module.apply(params, stack, one_hot, False, method="frame")
+        raw, features = module.apply(params, stack, one_hot, method="frame")
         believed = config.loss.probability(raw)
         bar = jax.random.uniform(key, raw.shape) if config.threshold is None else config.threshold
         frame = (believed > bar).astype(jnp.float32)
@@ -127,7 +131,13 @@ def pixels(
         def loss_fn(params):
             variables = {**state.params, "params": params}
             (raw, reward, charge, logit), settled = module.apply(
-                variables, _scale(batch.obs), one_hot, truth, True, mutable=["batch_stats"]
+                variables,
+                _scale(batch.obs),
+                one_hot,
+                truth,
+                True,
+                weight > 0,
+                mutable=["batch_stats"],
             )
             parts = {"frame_loss": config.loss.error(raw, truth).sum((1, 2, 3))}
             if config.reward is not None:
@@ -165,10 +175,25 @@ def frame_probability(
 
     def probability(params: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
         one_hot = jax.nn.one_hot(action, num_actions)
-        raw, _ = module.apply(params, _scale(obs), one_hot, False, method="frame")
+        raw, _ = module.apply(params, _scale(obs), one_hot, method="frame")
         return config.loss.probability(raw)
 
     return probability
+
+
+def _check_shape(
+    network: Any, frame_shape: tuple[int, int, int], num_actions: int, num_frames: int
+) -> None:
+    def predict(key: Key) -> jax.Array:
+        stack = jnp.zeros((2, *frame_shape[:2], frame_shape[2] * num_frames))
+        return network.init_with_output(key, stack, jnp.zeros((2, num_actions)), True)[0][0]
+
+    shape = jax.eval_shape(predict, jax.random.key(0)).shape[1:]
+    if shape != frame_shape:
+        raise ValueError(
+            f"{type(network).__name__} predicts pictures {shape} of frames {frame_shape}: "
+            "give it their number of channels, and kernels that fit into them"
+        )
 
 
 def _scale(picture: jax.Array) -> jax.Array:

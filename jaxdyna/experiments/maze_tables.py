@@ -1,0 +1,136 @@
+"""The tables of frame prediction in the Maze, out of ``results.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from jaxdyna.experiments.maze_model import CLASSES, REWARD_KINDS
+from jaxdyna.experiments.report import Results, interval
+
+PAPER_F1 = {10: (0.83, 0.22, 0.97), 100: (0.92, 0.83, 0.99), 300: (0.98, 0.93, 1.0)}
+SHOWN_THRESHOLDS = ("0.1", "0.2", "0.3", "0.5", "0.7")
+RULES = {"lit": "threshold", "drawn": "drawn"}
+DREAMERS = ("paper", "lean")
+Table = tuple[list[str], list[list[str]]]
+
+
+def scores(results: Results) -> Table:
+    """F1 by model, stage and class, the paper's own figures beside its model's."""
+    rows = [
+        ["paper's figures", str(stage), "-", *(f"{score:.2f}" for score in said)]
+        for stage, said in PAPER_F1.items()
+    ]
+    for arm, stage, judged in _by_stage(results):
+        cells = [cell(judged["f1"][name]) for name in CLASSES]
+        rows.append([arm, stage, f"{judged['updates']:,}", *cells])
+    return ["model", "episodes", "updates so far", *CLASSES], rows
+
+
+def losses(results: Results, stage: str) -> Table:
+    """What each loss makes of a picture, after one stage."""
+    header = ["model", "loss"]
+    for part in ("believed", "blur"):
+        header += [f"{part}, {name}" for name in CLASSES]
+    rows = []
+    for arm, judged in _at(results, stage):
+        cells = [cell(judged[part][name]) for part in ("believed", "blur") for name in CLASSES]
+        rows.append([arm, loss_of(arm), *cells])
+    return header, rows
+
+
+def thresholds(results: Results, stage: str) -> Table:
+    """F1 of agent and obstacles by loss and threshold, and at the best of all thresholds."""
+    rows = []
+    for arm, judged in _at(results, stage):
+        by_threshold = judged["f1_by_threshold"]
+        for name in ("agent", "obstacles"):
+            means = {mark: f1[name] for mark, f1 in by_threshold.items()}
+            best = max(means, key=lambda mark: means[mark])
+            cells = [f"{means[mark]:.3f}" for mark in SHOWN_THRESHOLDS]
+            rows.append([arm, loss_of(arm), name, *cells, f"{means[best]:.3f} at {best}"])
+    return ["model", "loss", "F1 of", *(f"> {mark}" for mark in SHOWN_THRESHOLDS), "best"], rows
+
+
+def rewards(results: Results) -> Table:
+    """How many rewards are predicted right, by what the step earned."""
+    rows = []
+    for arm, stage, judged in _by_stage(results):
+        cells = []
+        for kind in REWARD_KINDS:
+            share = judged["reward_right"][kind]
+            said = f"{cell(share)} of {share['steps']:,}" if share["steps"] else "no such step"
+            cells.append(said)
+        rows.append([arm, stage, *cells])
+    return ["model", "episodes", *REWARD_KINDS], rows
+
+
+def dreams(results: Results) -> Table:
+    """F1 and share of wrong pixels against dreamed steps, after the last stage."""
+    rows = []
+    for arm, judged in _last(results):
+        for rule, said in RULES.items():
+            for step, by_class in judged["dream_f1"][rule].items():
+                wrong = judged["dream_error"][rule][step]
+                share = sum(wrong[name]["mean"] for name in CLASSES) / len(CLASSES)
+                cells = [cell(by_class[name]) for name in CLASSES]
+                rows.append([arm, said, step, *cells, f"{100 * share:.2f}%"])
+    return ["model", "frames", "step", *CLASSES, "wrong"], rows
+
+
+def drift_said(results: Results) -> str:
+    """Which way of making frames drifts less, in words."""
+    said = []
+    for arm, judged in _last(results):
+        step = list(judged["dream_f1"]["lit"])[-1]
+        ends = {
+            rule: judged["dream_f1"][rule][step]["obstacles"]["mean"] for rule in ("lit", "drawn")
+        }
+        less = max(ends, key=lambda rule: ends[rule])
+        said.append(
+            f"After {step} steps `{arm}` has F1 {ends['lit']:.3f} of obstacles with the threshold "
+            f"and {ends['drawn']:.3f} drawn: {RULES[less]} drifts less."
+        )
+    return " ".join(said)
+
+
+def times(results: Results) -> Table:
+    """Seconds of training up to each stage."""
+    rows = []
+    for arm, spent in results["timing"]["arms"].items():
+        total = 0.0
+        for stage, seconds in spent.get("stages", {}).items():
+            total += seconds
+            rows.append([arm, stage, f"{total:.0f}", f"{spent['compile_s']:.0f}"])
+        if not spent.get("stages"):
+            rows.append([arm, "all, judging included", f"{spent['run_s']:.0f}", "-"])
+    cores = results["device"]["cpu_cores"]
+    return [f"model ({cores} cores)", "stage", "training (s)", "compiling (s)"], rows
+
+
+def loss_of(arm: str) -> str:
+    """The loss that an arm's name says."""
+    return arm.partition("_")[2] or "cross-entropy"
+
+
+def cell(summary: Results) -> str:
+    """``mean (low to high)``."""
+    return f"{summary['mean']:.3f} ({interval(summary['ci95'], 3)})"
+
+
+def _by_stage(results: Results) -> Iterator[tuple[str, str, Results]]:
+    for arm, stages in results["arms"].items():
+        for stage in sorted(stages, key=int):
+            yield arm, stage, stages[stage]
+
+
+def _at(results: Results, stage: str) -> Iterator[tuple[str, Results]]:
+    for arm, stages in results["arms"].items():
+        if stage in stages:
+            yield arm, stages[stage]
+
+
+def _last(results: Results) -> Iterator[tuple[str, Results]]:
+    for arm in DREAMERS:
+        if arm in results["arms"]:
+            stages = results["arms"][arm]
+            yield arm, stages[max(stages, key=int)]

@@ -1,0 +1,178 @@
+"""DQN: its equations by hand, its two replays, and that it learns."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from parts import assert_close, assert_same
+
+from jaxdyna import rollout
+from jaxdyna.agents import DQNConfig, DQNHParams, dqn
+from jaxdyna.agents.dqn import _mixed, epsilon_now
+from jaxdyna.envs import FrameStack, Maze, MazeParams
+from jaxdyna.losses import td_error
+from jaxdyna.networks import AttentionQ
+
+SIZE = 4
+ENV = FrameStack(Maze(size=SIZE, num_obstacles=1))
+NETWORK = AttentionQ(5, widths=(8,), heads=2, hidden=(16,))
+SMALL = DQNConfig(
+    network=NETWORK, updates=3, fake_updates=2, batch=8, capacity=200, episodes=30,
+    fake_capacity=60, fake_episodes=20,
+)  # fmt: skip
+HPARAMS = DQNHParams()
+
+
+def make(**changes):
+    return dqn((SIZE, SIZE, 3), 5, SMALL.__class__(**(SMALL.__dict__ | changes)))
+
+
+def play(seed, count=2, steps=6):
+    def act(obs, key):
+        return jax.random.randint(key, (), 0, 5)
+
+    return rollout(ENV, act, jax.random.key(seed), MazeParams(max_steps=steps), count)
+
+
+def test_td_error_by_hand():
+    values, target, online = (jnp.array(row) for row in ([1.0, 2.0], [5.0, 3.0], [0.0, 9.0]))
+    plain = td_error(values, 0, 10.0, 0.5, target, target)
+    double = td_error(values, 0, 10.0, 0.5, target, online)
+    assert plain == 10 + 0.5 * 5 - 1 and double == 10 + 0.5 * 3 - 1
+    assert td_error(values, 1, 10.0, 0.0, target, online) == 8
+
+
+def test_nothing_flows_into_the_target():
+    slope = jax.grad(lambda x: td_error(x, 0, 1.0, 0.5, 3 * x, x))(jnp.array([1.0, 2.0]))
+    np.testing.assert_array_equal(slope, [-1, 0])
+
+
+def test_real_and_fake_are_kept_apart():
+    agent = make()
+    state = agent.init(jax.random.key(0), HPARAMS)
+    state, _ = agent.update(state, play(0), jax.random.key(1), HPARAMS)
+    assert (int(state.real.size), int(state.fake.size), int(state.episodes)) == (12, 0, 2)
+    assert int(state.steps) == 3
+    state, metrics = jax.jit(agent.update_fake)(state, play(1, 3), jax.random.key(2), HPARAMS)
+    assert (int(state.real.size), int(state.fake.size), int(state.episodes)) == (12, 18, 2)
+    assert int(state.steps) == 5 and np.isfinite(metrics["loss"])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+def test_a_batch_is_mixed_as_it_is_told(share):
+    config = DQNConfig(**(SMALL.__dict__ | {"batch": 2000, "updates": 0, "fake_updates": 0}))
+    agent, hparams = dqn((SIZE, SIZE, 3), 5, config), DQNHParams(fake_share=share)
+    state = agent.init(jax.random.key(0), hparams)
+    real, fake = (play(seed)._replace(reward=jnp.full((2, 6), float(seed))) for seed in (0, 1))
+
+    def mean_reward(seed):
+        return float(_mixed(state, jax.random.key(seed), hparams, config).reward.mean())
+
+    state, _ = agent.update(state, real, jax.random.key(1), hparams)
+    assert mean_reward(2) == 0
+    state, _ = agent.update_fake(state, fake, jax.random.key(3), hparams)
+    assert mean_reward(4) == pytest.approx(share, abs=0.05)
+
+
+def test_what_weighs_nothing_changes_nothing():
+    agent = make()
+    state = agent.init(jax.random.key(0), HPARAMS)
+    state, _ = agent.update(state, play(0), jax.random.key(1), HPARAMS)
+    nothing = play(1)._replace(mask=jnp.zeros((2, 6)))
+    for learn in (agent.update, agent.update_fake):
+        assert_same(learn(state, nothing, jax.random.key(2), HPARAMS)[0], state)
+    fresh = agent.init(jax.random.key(0), HPARAMS)
+    episodes = play(0)._replace(mask=jnp.ones((2, 6)))
+    halves = [
+        agent.update(fresh, episodes._replace(mask=episodes.mask * w), jax.random.key(1), HPARAMS)
+        for w in (1.0, 0.5)
+    ]
+    assert float(halves[1][1]["loss"]) < float(halves[0][1]["loss"])
+
+
+def test_jit_is_eager_and_vmap_is_a_loop():
+    agent, episodes = make(optimizer=optax.sgd), play(0)  # Adam would magnify rounding
+    keys = jax.random.split(jax.random.key(3), 2)
+
+    def learn(key):
+        key_init, key_update = jax.random.split(key)
+        state = agent.init(key_init, HPARAMS)
+        return agent.update(state, episodes, key_update, HPARAMS)[0].params
+
+    rows = [learn(key) for key in keys]
+    loop = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
+    assert_close(jax.jit(jax.vmap(learn))(keys), loop, 1e-4)
+    assert_close(jax.jit(learn)(keys[0]), rows[0], 1e-4)
+
+
+def test_exploration():
+    hparams = DQNHParams(epsilon_first=1, epsilon_last=0.2, epsilon_hold=2, epsilon_episodes=4)
+    shares = [float(epsilon_now(jnp.int32(n), hparams)) for n in (0, 2, 4, 6, 9)]
+    np.testing.assert_allclose(shares, [1, 1, 0.6, 0.2, 0.2], rtol=1e-6)
+    agent = make(drift=3.0, updates=0)
+    state = agent.init(jax.random.key(0), hparams)
+    obs = play(0).obs[0, 0]
+
+    def actions(state, hparams, act=agent.act):
+        keys = jax.random.split(jax.random.key(5), 400)
+        return jax.vmap(lambda key: act(state, obs, key, hparams))(keys)
+
+    even = jnp.bincount(actions(state, hparams), length=5)
+    assert even.min() > 50
+    state, _ = agent.update(state, play(0), jax.random.key(1), hparams)
+    drifting = state.replace(episodes=jnp.int32(0))
+    uneven = jnp.bincount(actions(drifting, hparams), length=5)
+    assert uneven.max() > 200
+    greedy = hparams.replace(epsilon_last=0.0)
+    assert len(set(np.asarray(actions(state.replace(episodes=jnp.int32(9)), greedy)))) == 1
+    awake = actions(state, hparams.replace(epsilon_fake=1.0), agent.act_fake)
+    assert len(set(np.asarray(awake))) > 1
+
+
+def test_target_network():
+    hparams, episodes = DQNHParams(target_rate=1.0), play(0)
+    agent = make(target_period=2, updates=3)
+    before = agent.init(jax.random.key(0), hparams)
+    after, _ = agent.update(before, episodes, jax.random.key(1), hparams)
+    two = make(target_period=2, updates=2).update(before, episodes, jax.random.key(1), hparams)[0]
+    assert_same(two.target, two.params)
+    assert_close(after.target, two.params)
+    slow, _ = make(updates=1).update(before, episodes, jax.random.key(1), DQNHParams())
+    for target, new, old in zip(
+        *map(jax.tree.leaves, (slow.target, slow.params, before.params)), strict=True
+    ):
+        np.testing.assert_allclose(target, 0.005 * new + 0.995 * old, atol=1e-6)
+
+
+@pytest.mark.parametrize("bad", [{"batch": 0}, {"n_step": 0}, {"updates": -1}, {"drift": -1.0}])
+def test_clear_errors(bad):
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        DQNConfig(**bad)
+
+
+def test_it_finds_the_goal():
+    """Without obstacles on a small board the greedy way to the goal is the shortest."""
+    env = FrameStack(Maze(size=SIZE, num_obstacles=0))
+    params = MazeParams(max_steps=12)
+    agent = make(updates=25, batch=32, capacity=2000, episodes=200)
+    hparams = DQNHParams(epsilon_episodes=20.0, learning_rate=3e-3)
+
+    def episode(carry, _):
+        state, key = carry
+        key, key_play, key_learn = jax.random.split(key, 3)
+        played = rollout(
+            env, lambda obs, key: agent.act(state, obs, key, hparams), key_play, params, 1,
+            num_steps=12,
+        )  # fmt: skip
+        state, _ = agent.update(state, played, key_learn, hparams)
+        return (state, key), played.reward.sum()
+
+    @jax.jit
+    def train(key):
+        key_init, key = jax.random.split(key)
+        start = (agent.init(key_init, hparams), key)
+        return jax.lax.scan(episode, start, length=40)[1]
+
+    returns = train(jax.random.key(0))
+    assert returns[-5:].mean() >= 0.95 * (12 - 2 * (SIZE - 1) + 1)
