@@ -81,6 +81,17 @@ def test_the_maze_truncates_after_200_steps():
     assert ends == [(False, False)] * 199 + [(False, True)]
 
 
+def test_info_says_what_happened():
+    env = gymnasium.make("jaxdyna/Maze-v0")
+    env.reset(seed=0)
+    info = env.step(4)[4]
+    assert {"collision", "at_goal"} <= set(info) and not info["at_goal"]
+    many = gymnasium.make_vec("jaxdyna/Maze-v0", num_envs=3)
+    many.reset(seed=0)
+    infos = many.step(np.full(3, 4))[4]
+    assert infos["at_goal"].shape == (3,) and infos["_at_goal"].all()
+
+
 def test_vector_environment_resets_in_the_step_after_the_end():
     envs = gymnasium.make_vec("jaxdyna/CartPole-v0", num_envs=3)
     obs, _ = envs.reset(seed=0)

@@ -8,7 +8,7 @@ from maze_numpy import PlainMaze, best_return
 from parts import assert_same
 
 from jaxdyna import rollout
-from jaxdyna.envs import Maze, MazeParams, MazeState
+from jaxdyna.envs import CartPole, FrameStack, Maze, MazeParams, MazeState
 from jaxdyna.envs.maze import MOVES, WAIT, enlarge
 from jaxdyna.planners import solve_maze
 
@@ -173,3 +173,10 @@ def test_the_measured_means_of_the_rules():
         jax.vmap(lambda key: solve_maze(ENV, ENV.reset(key, PARAMS)[1], PARAMS, 200).best_return)
     )(keys)
     assert best.mean() == pytest.approx(167.8, abs=0.7)
+
+
+def test_only_pictures_are_stacked():
+    with pytest.raises(ValueError, match="observes pictures"):
+        FrameStack(CartPole())
+    with pytest.raises(ValueError, match="num_frames is 0"):
+        FrameStack(Maze(), 0)

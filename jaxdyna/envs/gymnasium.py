@@ -76,10 +76,10 @@ class HostEnv(gymnasium.Env[np.ndarray, np.int64]):
         if not self.action_space.contains(action):
             raise ValueError(f"action {action!r} is not in {self.action_space}")
         seed = _draw_seeds(self.np_random, 1)[0]
-        obs, self._state, reward, terminated, truncated = _step(
+        obs, self._state, reward, terminated, truncated, info = _step(
             self.env, self.params, seed, self._state, jnp.asarray(action)
         )
-        return np.array(obs), float(reward), bool(terminated), bool(truncated), {}
+        return np.array(obs), float(reward), bool(terminated), bool(truncated), _arrays(info)
 
     def render(self) -> np.ndarray | None:
         """The current frame, uint8 ``[height, width, 3]``, with ``render_mode="rgb_array"``."""
@@ -132,19 +132,21 @@ class HostVectorEnv(VectorEnv):
 
     def step(self, actions: np.ndarray):
         """Plays one step in every copy; those that ended in the last one start anew instead, with
-        reward 0.
+        reward 0. What ``info`` has of a copy counts where its underscored twin is true.
         """
         if self._state is None:
             raise ValueError("step before reset: call reset() first")
         if not self.action_space.contains(np.asarray(actions)):
             raise ValueError(f"actions {actions!r} are not in {self.action_space}")
         seeds = _draw_seeds(self.np_random, self.num_envs)
-        obs, self._state, *outcome = _vector_step(
+        obs, self._state, *outcome, info = _vector_step(
             self.env, self.params, seeds, self._state, jnp.asarray(actions), self._ended
         )
         reward, terminated, truncated = (np.asarray(part) for part in outcome)
-        self._ended = terminated | truncated
-        return np.array(obs), reward, terminated, truncated, {}
+        played, self._ended = ~self._ended, terminated | truncated
+        infos = _arrays(info)
+        infos |= {f"_{name}": played for name in infos}
+        return np.array(obs), reward, terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """One frame a copy, with ``render_mode="rgb_array"``."""
@@ -176,7 +178,12 @@ def _reset(env, params, seed):
 
 @partial(jax.jit, static_argnums=0)
 def _step(env, params, seed, state, action):
-    return env.step(jax.random.key(seed), state, action, params)[:5]
+    return env.step(jax.random.key(seed), state, action, params)
+
+
+def _arrays(info: dict[str, Any]) -> dict[str, np.ndarray]:
+    """What of an environment's ``info`` is an array."""
+    return {name: np.asarray(part) for name, part in info.items() if isinstance(part, jax.Array)}
 
 
 @partial(jax.jit, static_argnums=0)
@@ -193,9 +200,9 @@ def _vector_reset(env, params, seeds):
 def _vector_step(env, params, seeds, state, actions, ended):
     def one(seed, state, action, ended):
         fresh = _reset(env, params, seed)
-        obs, state, reward, terminated, truncated = _step(env, params, seed, state, action)
+        obs, state, reward, terminated, truncated, info = _step(env, params, seed, state, action)
         obs, state = jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, (obs, state))
         reward = jnp.where(ended, 0, reward)
-        return obs, state, reward, terminated & ~ended, truncated & ~ended
+        return obs, state, reward, terminated & ~ended, truncated & ~ended, info
 
     return jax.vmap(one)(seeds, state, actions, ended)

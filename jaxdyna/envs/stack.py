@@ -38,6 +38,12 @@ class FrameStack:
     def __post_init__(self) -> None:
         if self.num_frames < 1:
             raise ValueError(f"num_frames is {self.num_frames}: it must be at least 1")
+        shape = self.env.observation_space(self.env.default_params).shape
+        if len(shape) != 3:
+            raise ValueError(
+                f"{type(self.env).__name__} observes arrays of shape {shape}: stack the frames of "
+                "an environment that observes pictures [height, width, channels]"
+            )
 
     @property
     def default_params(self) -> Any:

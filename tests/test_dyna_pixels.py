@@ -1,0 +1,96 @@
+"""The same loop on pixels: DQN, a frame model, a replay of frames."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from parts import assert_same
+
+from jaxdyna import frame_replay, memory
+from jaxdyna.agents import DQNConfig, DQNHParams, dqn
+from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, make_train
+from jaxdyna.envs import FrameStack, Maze, MazeParams
+from jaxdyna.models import (
+    LearnedEnvironment,
+    LearnedParams,
+    PixelConfig,
+    PixelHParams,
+    pixels,
+)
+from jaxdyna.networks import AttentionQ, LocalDynamics
+from jaxdyna.planners import solve_maze
+
+SIZE, STEPS, EPISODES, FIRST = 4, 8, 5, 3
+ENV = FrameStack(Maze(size=SIZE, num_obstacles=1))
+NETWORK = AttentionQ(5, widths=(8,), heads=2, hidden=(16,))
+AGENT = dqn(
+    (SIZE, SIZE, 3), 5,
+    DQNConfig(
+        network=NETWORK, updates=2, fake_updates=2, batch=8, capacity=200, episodes=30,
+        fake_capacity=90, fake_episodes=30,
+    ),
+)  # fmt: skip
+MODEL = pixels((SIZE, SIZE, 3), 5, PixelConfig(LocalDynamics(3, (8,))))
+
+
+def start(key, held):
+    return frame_replay.sample(held, key, ()).obs
+
+
+def watch(real, begun, params):
+    plan = jax.vmap(lambda state: solve_maze(ENV.env, state, params, STEPS))(begun.env)
+    return {"best": plan.best_return.mean(), "first_frame": real.obs[0, 0, ..., -3:]}
+
+
+LEARNED = LearnedEnvironment(ENV, MODEL.predict, start)
+DYNA = Dyna(
+    ENV, AGENT, MODEL,
+    Dream(LEARNED, lambda state, hparams: LearnedParams(state.model.params, state.replay)),
+    watch=watch, memory=memory.frames(lambda rest: rest["reward"] != 0),
+)  # fmt: skip
+CONFIG = DynaConfig(
+    num_episodes=EPISODES, num_real_first=FIRST, num_steps=STEPS, model_updates=2, model_batch=8,
+    dream_updates=2, dream_episodes=3, dream_steps=4, rare_share=0.5,
+)  # fmt: skip
+HPARAMS = DynaHParams(DQNHParams(), PixelHParams(), MazeParams(max_steps=STEPS))
+
+
+@pytest.fixture(scope="module")
+def run():
+    return jax.jit(make_train(DYNA, CONFIG))(jax.random.key(0), HPARAMS)
+
+
+def test_dreams_branch_off_from_real_frames(run):
+    state, metrics = run
+    assert int(state.replay.size) == int(state.agent.real.size) == EPISODES * STEPS
+    assert int(state.agent.fake.size) == (EPISODES - FIRST + 1) * 2 * 3 * 4
+    dreaming = np.isfinite(np.asarray(metrics["fake_return"]))
+    assert dreaming.tolist() == [number + 1 >= FIRST for number in range(EPISODES)]
+    assert (metrics["fake_length"][dreaming] == 4).all()
+    real, numbers = state.replay, jnp.arange(EPISODES * STEPS)
+    frames = {frame.tobytes() for frame in np.asarray(frame_replay.take(real, numbers).obs)}
+    fake = state.agent.fake
+    firsts = np.flatnonzero(np.asarray(fake.time)[: int(fake.added)] == 0)
+    begun = np.asarray(frame_replay.take(fake, jnp.asarray(firsts)).obs)
+    assert all(stack.tobytes() in frames for stack in begun)
+
+
+def test_watching_sees_the_state_an_episode_began_in(run):
+    """The oracle's return is of the start that was really played."""
+    _, metrics = run
+    best, returns = np.asarray(metrics["best"]), np.asarray(metrics["real_return"])
+    assert (best >= returns - 1e-4).all()
+    assert (np.asarray(metrics["first_frame"])[:, SIZE - 1, 0, 2] == 255).all()
+    assert len({frame.tobytes() for frame in np.asarray(metrics["first_frame"])}) > 1
+
+
+def test_arms_play_the_same_first_episodes(run):
+    alone = DYNA._replace(model=None, dream=None)
+    _, without = jax.jit(make_train(alone, CONFIG))(jax.random.key(0), HPARAMS)
+    assert_same(without["real_return"][:FIRST], run[1]["real_return"][:FIRST])
+    assert_same(without["best"], run[1]["best"])
+
+
+def test_a_dream_may_be_shorter_than_a_real_episode_only_if_it_lasts():
+    with pytest.raises(ValueError, match="dream_steps"):
+        DynaConfig(dream_steps=0)
