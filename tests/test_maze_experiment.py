@@ -127,8 +127,8 @@ def test_counts_by_hand():
 def test_presets_and_stages():
     options = Options(episodes=120)
     assert options.played_stages == (10, 30, 100)
-    assert options.stages_of("paper_l1") == (10, 30, 100)
-    assert Options(ablation_stage=20).stages_of("lean_l2") == (10,)
+    assert options.stages_of("paper_l1") == (100,)
+    assert Options(ablation_stage=22).stages_of("lean_l2") == (30,)
 
 
 def test_a_trail_shows_the_newest_frame_brightest():

@@ -6,42 +6,32 @@ policy and writes the paper's F1 table beside ours.
 
 from __future__ import annotations
 
-import json
 import shlex
 import shutil
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 from rich.console import Console
 
-from jaxdyna.experiments import cli, maze_report, report
+from jaxdyna.experiments import cli, maze_report
 from jaxdyna.experiments.checkpoint import Checkpoints
-from jaxdyna.experiments.maze_model import make_study
-from jaxdyna.experiments.maze_options import PRESETS, QUICK, Options, training_of
+from jaxdyna.experiments.maze_model import Run, make_study
+from jaxdyna.experiments.maze_options import PRESETS, QUICK, training_of
+from jaxdyna.experiments.maze_record import Record, Timing
 from jaxdyna.experiments.progress import Bars
-from jaxdyna.experiments.report import Results
 from jaxdyna.experiments.run import deferred_interrupt
 from jaxdyna.experiments.storage import (
-    plain,
-    read_curves,
     set_aside,
-    write_curves,
-    write_json,
     write_text,
 )
 from jaxdyna.sweep import make_pieces
 
 PROG = "python -m jaxdyna.experiments.maze"
-NOT_SETTINGS = ("arms", "out", "resume")
 OF_THE_FIRST_SEED = ("seen", "truth", "belief", "film_truth", "film_dream")
-Curves = dict[str, dict[str, np.ndarray]]
-Timing = dict[str, Any]
 
 PIECE_UPDATES = 250
 CHECKPOINT_SECONDS = 60.0
@@ -87,73 +77,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
-@dataclass
-class Record:
-    """What a run has come to so far, and its files.
-
-    Attributes:
-        options: its settings.
-        out: the folder.
-        command: as typed.
-        curves: judgements by ``ARM@STAGE``.
-        timing: seconds by arm.
-    """
-
-    options: Options
-    out: Path
-    command: str
-    curves: Curves = field(default_factory=dict)
-    timing: Timing = field(default_factory=dict)
-    begun: float = field(default_factory=time.perf_counter)
-
-    def write(self) -> Results:
-        """Writes ``curves.npz`` and ``results.json``; returns what is in the latter."""
-        write_curves(self.out / "curves.npz", self.curves)
-        spent = self.timing.values()
-        total = {part: sum(arm[part] for arm in spent) for part in ("compile_s", "run_s")}
-        total["total_s"] = time.perf_counter() - self.begun
-        results = {
-            "experiment": "maze_model",
-            "command": self.command,
-            "preset": self.options.preset,
-            "config": plain(self.options),
-            **report.environment(),
-            "timing": total | {"arms": self.timing},
-            "arms": maze_report.describe(self.curves, self.options),
-        }
-        write_json(self.out / "results.json", results)
-        return results
-
-    def resume(self) -> None:
-        """Reads what an earlier run with the same settings finished.
-
-        Raises:
-            ValueError: where there is no such run.
-        """
-        path = self.out / "results.json"
-        if not path.exists():
-            raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
-        before = json.loads(path.read_text())
-        now = json.loads(json.dumps(plain(self.options)))
-        newer = json.loads(json.dumps(plain(Options())))  # settings that did not exist then
-        earlier = newer | before["config"]
-        changed = [
-            name
-            for name, value in now.items()
-            if name not in NOT_SETTINGS and earlier[name] != value
-        ]
-        if changed:
-            flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
-            raise ValueError(
-                f"the run in {self.out} had other settings for {flags}: "
-                "resume with the same, or choose another --out"
-            )
-        self.curves = read_curves(self.out / "curves.npz")
-        self.timing = before["timing"]["arms"]
-        self.command = before["command"]
-        self.begun -= before["timing"]["total_s"]
-
-
 def _play(record: Record, console: Console) -> None:
     """Trains and judges whatever is not in the record yet."""
     options, curves = record.options, record.curves
@@ -175,7 +98,7 @@ def _play(record: Record, console: Console) -> None:
 
 
 class Trainee:
-    """All runs of an arm, from stage to stage.
+    """All runs of an arm, at one stage after the other.
 
     Args:
         record: where judgements go.
@@ -190,54 +113,64 @@ class Trainee:
         self.checkpoints = Checkpoints(record.out / "checkpoints" / arm)
         nothing: Timing = {"compile_s": 0.0, "run_s": 0.0, "stages": {}}
         self.spent = record.timing.setdefault(arm, nothing)
-        bars.advance(arm, 0, "compiling")
-        began = time.perf_counter()
         options = record.options
         study, block = make_study(options, arm), 1 if jax.default_backend() == "cpu" else None
-        start, self._train = make_pieces(study.init, study.train, block)
+        self._start, self._train = make_pieces(study.init, study.train, block)
         self._judge = make_pieces(study.init, study.judge, block)[1]
-        keys = jax.random.split(jax.random.key(options.seed), options.seeds)
-        self.run, self.done, self.saved = start(keys, NOTHING_SWEPT), 0, began
-        if options.resume and self.checkpoints.exists():
-            kept, [counts], _ = self.checkpoints.load(self.run._replace(data=None))
-            self.run, self.done = kept._replace(data=self.run.data), int(counts["done"])
-        self._count("compile_s", began)
+        self.keys = jax.random.split(jax.random.key(options.seed), options.seeds)
+        self.saved = time.perf_counter()
 
     def play(self, stage: int) -> None:
-        """Trains up to the end of this stage and judges, unless that is done.
+        """Trains from scratch on so many episodes and judges, unless that is done.
 
         Raises:
             KeyboardInterrupt: after Ctrl-C, once the piece in progress is done and saved.
         """
-        name, stages = f"{self.arm}@{stage}", self.record.options.stages_of(self.arm)
-        end = (1 + stages.index(stage)) * self.updates
-        seconds = self.spent["stages"]
-        while self.done < end:
-            began = time.perf_counter()
-            self.bars.advance(self.arm, self.done, f"{stage} episodes")
-            updates = min(PIECE_UPDATES, end - self.done)
-            self.run, losses = self._train(self.run, (stage, updates), NOTHING_SWEPT)
-            jax.block_until_ready(losses)
-            self.done += updates
-            seconds[str(stage)] = seconds.get(str(stage), 0.0) + self._count("run_s", began)
-            self._save(due=self.done == end)
-        if name not in self.record.curves:
-            began = time.perf_counter()
-            self.bars.advance(self.arm, self.done, f"{stage} episodes, judging")
-            self.run, judged = self._judge(self.run, stage, NOTHING_SWEPT)
-            kept = jax.tree.map(lambda leaf: np.asarray(leaf[0]), judged)
-            kept |= {part: kept[part][0] for part in OF_THE_FIRST_SEED}
-            self._count("run_s", began)
-            self.record.curves[name] = kept
-            self.record.write()
-        self.bars.advance(self.arm, self.done, "")
-
-    def _save(self, due: bool) -> None:
-        """Writes a checkpoint where one is due; data is not in it."""
-        if not (due or self.interrupted or time.perf_counter() - self.saved > CHECKPOINT_SECONDS):
+        name, before = f"{self.arm}@{stage}", self.record.options.stages_of(self.arm).index(stage)
+        before *= self.updates
+        if name in self.record.curves:
             return
-        counts = {"done": np.array(self.done)}
-        self.checkpoints.save(self.done, self.run._replace(data=None), counts, self.spent["run_s"])
+        self.bars.advance(self.arm, before, f"{stage} episodes, compiling")
+        run, done = self._begin(stage)
+        while done < self.updates:
+            self.bars.advance(self.arm, before + done, f"{stage} episodes")
+            began, updates = time.perf_counter(), min(PIECE_UPDATES, self.updates - done)
+            run, losses = self._train(run, (stage, updates), NOTHING_SWEPT)
+            jax.block_until_ready(losses)
+            done += updates
+            seconds, taken = self.spent["stages"], self._count("run_s", began)
+            seconds[str(stage)] = seconds.get(str(stage), 0.0) + taken
+            self._save(run, stage, done)
+        began = time.perf_counter()
+        self.bars.advance(self.arm, before + done, f"{stage} episodes, judging")
+        _, judged = self._judge(run, stage, NOTHING_SWEPT)
+        kept = jax.tree.map(lambda leaf: np.asarray(leaf[0]), judged)
+        kept |= {part: kept[part][0] for part in OF_THE_FIRST_SEED}
+        self._count("run_s", began)
+        self.record.curves[name] = kept
+        self.record.write()
+        self.bars.advance(self.arm, before + done, "")
+
+    def _begin(self, stage: int) -> tuple[Run, int]:
+        """The runs before this stage or at its checkpoint, and updates done; all is compiled."""
+        began = time.perf_counter()
+        run, done = self._start(jax.random.clone(self.keys), NOTHING_SWEPT), 0
+        if self.record.options.resume and self.checkpoints.exists():
+            kept, [counts], _ = self.checkpoints.load(run._replace(data=None))
+            if counts["stage"] == stage:
+                run, done = kept._replace(data=run.data), int(counts["done"])
+        run, _ = self._train(run, (stage, 0), NOTHING_SWEPT)
+        jax.block_until_ready(run.done)
+        self._count("compile_s", began)
+        return run, done
+
+    def _save(self, run: Run, stage: int, done: int) -> None:
+        """Writes a checkpoint where one is due; data is not in it."""
+        if not (self.interrupted or time.perf_counter() - self.saved > CHECKPOINT_SECONDS):
+            return
+        counts = {"stage": np.array(stage), "done": np.array(done)}
+        number = stage * self.updates + done
+        self.checkpoints.save(number, run._replace(data=None), counts, self.spent["run_s"])
         self.saved = time.perf_counter()
         if self.interrupted:
             self.record.write()

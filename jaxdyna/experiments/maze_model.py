@@ -39,13 +39,13 @@ class Run(NamedTuple):
     """A run between two pieces of its training.
 
     Attributes:
-        data: all its episodes; a key gives them again.
+        data: all its episodes, which a key gives again; None in a checkpoint.
         key: random key.
         state: the model's.
         done: int32, updates so far.
     """
 
-    data: FrameReplay
+    data: Any
     key: Key
     state: Any
     done: jax.Array
@@ -83,11 +83,11 @@ def first_episodes(held: FrameReplay, episodes: Any, steps: int) -> FrameReplay:
 
 
 class Study(NamedTuple):
-    """An arm's training from stage to stage, for `jaxdyna.sweep.make_pieces`. The stage, a number
-    of episodes, and the number of updates are traced: all of it is one program.
+    """An arm's training at a stage, for `jaxdyna.sweep.make_pieces`. The stage, a number of
+    episodes, and the number of updates are traced: all stages are one program.
 
     Attributes:
-        init: ``(key, hparams) -> run``: before its first stage.
+        init: ``(key, hparams) -> run``: before its first update.
         train: ``(run, (stage, updates), hparams) -> (run, losses)``: so many more updates on the
             first ``stage`` episodes.
         judge: ``(run, stage, hparams) -> (run, judgement)``.
@@ -99,7 +99,7 @@ class Study(NamedTuple):
 
 
 def make_study(options: Options, arm: str) -> Study:
-    """A key gives the same episodes, and the same ones held out, to every arm and stage."""
+    """A key gives every arm and stage the same episodes, and the same ones held out."""
     config, training = config_of(options, arm), training_of(options, arm)
     env, params = world(options)
     model = make_model(options, config)

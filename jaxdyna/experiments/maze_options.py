@@ -23,14 +23,14 @@ ModelName = Literal["paper", "paper_l2", "paper_l1", "lean", "lean_l2", "lean_l1
 
 @dataclass(frozen=True)
 class Training:
-    """How a model is trained on what is in its replay, at each stage from where it was."""
+    """How a model is trained on what is in its replay, from scratch at each stage."""
 
     updates: int = 2500
-    """Gradient steps of a stage, whatever its number of episodes."""
+    """Gradient steps, whatever the number of episodes."""
     batch: int = 32
     """Transitions in each."""
     learning_rate: float = 5e-3
-    """Adam's at the start of a stage; it falls to 0 along half a cosine within it."""
+    """Adam's at the start; it falls to 0 along half a cosine within the updates."""
     weight_decay: float = 0.0
     """Of AdamW (Loshchilov and Hutter 2019); 0 is Adam."""
     rare_share: float | None = 0.25
@@ -65,10 +65,10 @@ class Options:
     episodes: int = 300
     """Episodes of the random policy at the most."""
     stages: tuple[int, ...] = (10, 30, 100, 300)
-    """After how many of them a model is trained further, from where the stage before left it, and
-    judged; those above --episodes are left out."""
+    """After how many of them a model is trained, from scratch, and judged; those above --episodes
+    are left out."""
     ablation_stage: int = 100
-    """The stage at which losses are compared: the last one of models with another loss."""
+    """The stage at which losses are compared, the only one of models with another loss."""
     arms: tuple[ModelName, ...] = ("paper", "lean")
     """paper: Fig. 4 with the multi-label cross-entropy; lean: convolutions throughout; with _l1 and
     _l2 the same network under another loss, to compare losses and thresholds."""
@@ -138,13 +138,10 @@ class Options:
         return tuple(sorted({stage for stage in self.stages if stage <= self.episodes}))
 
     def stages_of(self, arm: str) -> tuple[int, ...]:
-        """All of them, or for a model with another loss those up to the one nearest
-        ``ablation_stage``.
-        """
+        """All of them, or for a model with another loss the one nearest ``ablation_stage``."""
         if arm in ("paper", "lean"):
             return self.played_stages
-        last = min(self.played_stages, key=lambda stage: abs(stage - self.ablation_stage))
-        return tuple(stage for stage in self.played_stages if stage <= last)
+        return (min(self.played_stages, key=lambda stage: abs(stage - self.ablation_stage)),)
 
 
 def world(options: Options) -> tuple[FrameStack, MazeParams]:
@@ -198,14 +195,12 @@ def config_of(options: Options, arm: str) -> PixelConfig:
 
 @cache
 def cosine_adam(updates: int, weight_decay: float) -> Any:
-    """AdamW whose learning rate falls to 0 within ``updates``, along half a cosine, and starts
-    anew (warm restarts, Loshchilov and Hutter 2017).
-    """
+    """AdamW whose learning rate falls to 0 within ``updates``, along half a cosine."""
     return partial(_cosine_adam, updates, weight_decay)
 
 
 def _cosine_adam(
     updates: int, weight_decay: float, learning_rate: Any
 ) -> optax.GradientTransformation:
-    once = optax.cosine_decay_schedule(learning_rate, updates)
-    return optax.adamw(lambda count: once(count % updates), weight_decay=weight_decay)
+    schedule = optax.cosine_decay_schedule(learning_rate, updates)
+    return optax.adamw(schedule, weight_decay=weight_decay)

@@ -30,11 +30,9 @@ def describe(curves: Curves, options: Options) -> Results:
     arms: Results = {}
     for name, judged in curves.items():
         arm, _, stage = name.partition("@")
-        stages = options.stages_of(arm)
         scores = f1(judged["one_step"])
         lit = np.maximum(judged["one_step"][:, 0, :, 2], 1)
         arms.setdefault(arm, {})[stage] = {
-            "updates": training_of(options, arm).updates * (1 + stages.index(int(stage))),
             "f1": _summaries(scores[:, _used(options, arm)]),
             "f1_by_threshold": {
                 f"{threshold:g}": dict(
@@ -109,8 +107,8 @@ def markdown(results: Results, options: Options, curves: Curves, out: Path) -> s
         f"{options.seeds} runs. In each a uniformly random policy plays {options.episodes} "
         f"episodes of {options.steps} steps, which the replay keeps at {_bytes(options):.0f} bytes "
         "a transition. A model, four frames and the action in, the next frame out, is trained on "
-        "the first so many of them, at each stage from where the one before left it, and judged "
-        f"on {options.held_out} new episodes of the same policy: F1 of lit pixels over all steps, "
+        "the first so many of them, each time from scratch, and judged on "
+        f"{options.held_out} new episodes of the same policy: F1 of lit pixels over all steps, "
         "the first ones included, where four equal frames do not tell which way the obstacles "
         "will go. Mean over runs and 95% interval.",
         markdown_table(*tables.scores(results)),
@@ -130,7 +128,7 @@ def markdown(results: Results, options: Options, curves: Curves, out: Path) -> s
         markdown_table(*tables.rewards(results)),
         *_dreams_said(results, out),
         "## Time",
-        "Seconds of all runs together up to the end of a stage; compiling and judging apart.",
+        "Seconds of training all runs, and of compiling.",
         markdown_table(*tables.times(results)),
     ]
     return "\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
@@ -140,13 +138,13 @@ def _dreams_said(results: Results, out: Path) -> list[str]:
     if not any(arm in results["arms"] for arm in tables.DREAMERS):
         return []
     films = [
-        _picture(out, f"dream_{arm}.gif", f"dream of {arm} beside the truth, after the last stage")
+        _picture(out, f"dream_{arm}.gif", f"dream of {arm} beside the truth")
         for arm in tables.DREAMERS
     ]
     return [
         "## Dreams",
         f"So many steps fed with its own frames, actions as recorded, from step {DREAM_FROM} of "
-        "the held-out episodes on, after the last stage. Frames are lit above the threshold, or "
+        "the held-out episodes on, after the most episodes. Frames are lit above the threshold, or "
         "each pixel is drawn with the probability that it is believed to be lit. Wrong: share of "
         f"all pixels. {tables.drift_said(results)}",
         markdown_table(*tables.dreams(results)),
@@ -158,8 +156,8 @@ def _dreams_said(results: Results, out: Path) -> list[str]:
 def summary(console: Console, results: Results) -> None:
     """The F1 table in the terminal."""
     header, rows = tables.scores(results)
-    short = [[row[0], row[1], *(cell.partition(" ")[0] for cell in row[3:])] for row in rows]
-    report.print_table(console, "F1 of predicted frames", [*header[:2], *header[3:]], short)
+    short = [[*row[:2], *(cell.partition(" ")[0] for cell in row[2:])] for row in rows]
+    report.print_table(console, "F1 of predicted frames", header, short)
     console.print(f"{results['timing']['total_s']:.0f} s in all")
 
 
@@ -179,7 +177,7 @@ def _setting(options: Options, arm: str) -> str:
     head = f"reward by {type(config.reward).__name__}" if config.reward else "no reward head"
     return (
         f"{type(config.network).__name__} with {size}, {tables.loss_of(arm)}, "
-        f"{training.updates:,} updates a stage on batches of {training.batch}{share}, Adam from "
+        f"{training.updates:,} updates on batches of {training.batch}{share}, Adam from "
         f"{training.learning_rate:g} down along a cosine with weight decay "
         f"{training.weight_decay:g}, lit above {config.threshold:g}, {head}"
     )
