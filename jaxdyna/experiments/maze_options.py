@@ -101,7 +101,7 @@ class Options:
     """New episodes that models are judged on."""
     horizon: int = 50
     """Steps of an open-loop dream."""
-    paper: Training = field(default_factory=lambda: Training(3000, 32, 3e-3, 0.2, None))
+    paper: Training = field(default_factory=lambda: Training(6000, 32, 3e-3, 0.2, None))
     """Training of the paper's model."""
     lean: Training = field(default_factory=Training)
     """Training of ours."""
