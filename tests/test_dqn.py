@@ -166,8 +166,10 @@ def test_it_finds_the_goal():
     """Without obstacles on a small board the greedy way to the goal is the shortest."""
     env = FrameStack(Maze(size=SIZE, num_obstacles=0))
     params = MazeParams(max_steps=12)
-    agent = make(updates=25, batch=32, capacity=2000, episodes=200)
-    hparams = DQNHParams(epsilon_episodes=20.0, learning_rate=3e-3)
+    agent = make(updates=50, batch=32, capacity=2000, episodes=200)
+    hparams = DQNHParams(
+        epsilon_hold=20.0, epsilon_episodes=20.0, learning_rate=3e-3, target_rate=0.02
+    )
 
     def episode(carry, _):
         state, key = carry
@@ -183,7 +185,7 @@ def test_it_finds_the_goal():
     def train(key):
         key_init, key = jax.random.split(key)
         start = (agent.init(key_init, hparams), key)
-        return jax.lax.scan(episode, start, length=40)[1]
+        return jax.lax.scan(episode, start, length=60)[1]
 
     returns = train(jax.random.key(0))
-    assert returns[-5:].mean() >= 0.95 * (12 - 2 * (SIZE - 1) + 1)
+    assert returns[-10:].mean() >= 0.95 * (12 - 2 * (SIZE - 1) + 1)

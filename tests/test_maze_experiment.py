@@ -104,7 +104,7 @@ def test_bad_input_is_one_line(arguments, words, capsys):
 
 
 def test_a_stage_sees_its_own_episodes_only():
-    options = Options(steps=12, horizon=2, episodes=5)
+    options = Options(steps=12, horizon=2, episodes=5, stages=(2, 5))
     key = jax.random.key(0)
     whole = maze_model.collect(options, key, 5)
     few = maze_model.first_episodes(whole, 2, 12)

@@ -188,11 +188,14 @@ def _check_shape(
         stack = jnp.zeros((2, *frame_shape[:2], frame_shape[2] * num_frames))
         return network.init_with_output(key, stack, jnp.zeros((2, num_actions)), True)[0][0]
 
-    shape = jax.eval_shape(predict, jax.random.key(0)).shape[1:]
+    try:
+        shape = jax.eval_shape(predict, jax.random.key(0)).shape[1:]
+    except (TypeError, ValueError, ZeroDivisionError):  # a convolution that leaves nothing
+        shape = ()
     if shape != frame_shape:
         raise ValueError(
-            f"{type(network).__name__} predicts pictures {shape} of frames {frame_shape}: "
-            "give it their number of channels, and kernels that fit into them"
+            f"{type(network).__name__} predicts pictures of shape {shape} for frames "
+            f"{frame_shape}: give it their number of channels, and kernels that fit into them"
         )
 
 
