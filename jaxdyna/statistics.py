@@ -6,7 +6,7 @@ therefore undefined (None), while a median or an interquartile mean may still be
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,17 +18,36 @@ Summary = dict[str, Any]
 @dataclass(frozen=True)
 class SolveRule:
     """Solved when the mean return of ``window`` successive real training episodes reaches
-    ``threshold``.
+    ``threshold``, or ``threshold`` times the mean of what ``share_of`` says.
+
+    Attributes:
+        window: episodes.
+        threshold: a return, or a share.
+        share_of: the name of a curve, such as the return that was to be had in each episode.
     """
 
     window: int
     threshold: float
+    share_of: str | None = None
+
+    @property
+    def level(self) -> float:
+        """What the mean of `score` has to reach."""
+        return self.threshold if self.share_of is None else 0.0
+
+    def score(self, curves: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Of every episode, ``[seeds, episodes]``: its return, or how far it is above its share."""
+        returns = np.asarray(curves["real_return"], np.float64)
+        return (
+            returns if self.share_of is None else returns - self.threshold * curves[self.share_of]
+        )
 
     def __str__(self) -> str:
+        what = f" of the mean {self.share_of.replace('_', ' ')}" if self.share_of else ""
         return (
             f"solved at the first real training episode at which the mean return of the last "
-            f"{self.window} reaches {self.threshold:g}; episodes_to_solve is that episode's number "
-            f"counted from 1, first_solved the number of the window's first episode, and "
+            f"{self.window} reaches {self.threshold:g}{what}; episodes_to_solve is that episode's "
+            f"number counted from 1, first_solved the number of the window's first episode, and "
             f"real_steps_to_solve the real steps before the window begins"
         )
 
@@ -37,7 +56,7 @@ def episodes_to_solve(returns: np.ndarray, rule: SolveRule) -> np.ndarray:
     """The number, from 1, of the episode that ends the first solving window.
 
     Args:
-        returns: ``[..., episodes]``; NaN where an episode was not played.
+        returns: `SolveRule.score`, ``[..., episodes]``; NaN where an episode was not played.
         rule: when a run is solved.
 
     Returns:
@@ -48,7 +67,7 @@ def episodes_to_solve(returns: np.ndarray, rule: SolveRule) -> np.ndarray:
         return np.full(returns.shape[:-1], np.inf)
     padded = np.concatenate([np.zeros((*returns.shape[:-1], 1)), returns.cumsum(-1)], axis=-1)
     means = (padded[..., rule.window :] - padded[..., : -rule.window]) / rule.window
-    reached = means >= rule.threshold - 1e-9
+    reached = means >= rule.level - 1e-9
     return np.where(reached.any(-1), reached.argmax(-1) + rule.window, np.inf)
 
 

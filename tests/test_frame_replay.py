@@ -1,5 +1,7 @@
 """The replay that keeps each frame once, against stacks that were kept whole."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,15 +15,22 @@ from jaxdyna.replay import share_weight
 from jaxdyna.windows import take_window
 
 ENV = FrameStack(Maze(size=5, num_obstacles=3))
+TAKE, ADD = jax.jit(frame_replay.take), jax.jit(frame_replay.add)
+WINDOW = jax.jit(take_window, static_argnums=2)
 
 
 def act(obs, key):
     return jax.random.randint(key, (), 0, 5)
 
 
+@partial(jax.jit, static_argnums=(1, 2))
+def _play(key, count, steps):
+    return rollout(ENV, act, key, MazeParams(max_steps=steps), count, num_steps=steps)
+
+
 def play(seed, count, steps=7, lengths=None):
     """Episodes ``[count, steps]``; those cut to ``lengths`` terminate there."""
-    episodes = rollout(ENV, act, jax.random.key(seed), MazeParams(max_steps=steps), count)
+    episodes = _play(jax.random.key(seed), count, steps)
     if lengths is None:
         return episodes
     time, ends = jnp.arange(steps), jnp.asarray(lengths)[:, None]
@@ -54,7 +63,8 @@ def check(buffer, parts):
     """Everything held is as it was added; returns how much that is."""
     kept = flat(parts)
     numbers = np.arange(int(buffer.oldest), int(buffer.added))
-    got = frame_replay.take(buffer, jnp.asarray(numbers))
+    padded = np.resize(numbers, 64)  # one shape, and so one program, for all
+    got = jax.tree.map(lambda leaf: leaf[: len(numbers)], TAKE(buffer, padded))
     assert_same(got, jax.tree.map(lambda leaf: jnp.asarray(leaf[numbers]), kept))
     assert int(buffer.held.sum()) == int(buffer.size) == len(numbers)
     return len(numbers)
@@ -65,7 +75,7 @@ def test_stacks_come_back_as_they_were_across_the_ends_of_episodes():
     buffer = frame_replay.init(64, 20, example(parts[0]))
     assert int(buffer.size) == 0 and not buffer.held.any()
     for part in parts:
-        buffer = jax.jit(frame_replay.add)(buffer, part)
+        buffer = ADD(buffer, part)
     assert check(buffer, parts) == 14 + 1 + 12
     assert int(buffer.episodes_added) == 6
 
@@ -76,37 +86,37 @@ def test_a_branch_remembers_what_was_seen_before_it():
     parts[2] = parts[2]._replace(truncated=parts[2].truncated.at[:, -1].set(True))
     buffer = frame_replay.init(64, 20, example(branch))
     for part in parts:
-        buffer = frame_replay.add(buffer, part)
+        buffer = ADD(buffer, part)
     assert check(buffer, parts) == 2 * 4 + 7 + 2 * 2
 
 
 def test_an_episode_whose_last_steps_weigh_nothing_ends_before_them():
     episodes = play(0, 2)
     light = episodes._replace(mask=episodes.mask * (jnp.arange(7) < 4) * 0.5)
-    buffer = frame_replay.add(frame_replay.init(64, 9, example(light)), light)
+    buffer = ADD(frame_replay.init(64, 9, example(light)), light)
     assert int(buffer.size) == 8
-    drawn = frame_replay.take(buffer, jnp.arange(8))
+    drawn = TAKE(buffer, jnp.arange(8))
     assert_same(drawn.next_obs, episodes.next_obs[:, :4].reshape(8, 5, 5, 12))
     np.testing.assert_array_equal(drawn.mask, 0.5)
-    window = take_window(buffer, jnp.arange(8), 3, 1.0)
+    window = WINDOW(buffer, jnp.arange(8), 3, 1.0)
     assert_same(window.last_obs[2], episodes.next_obs[0, 3])
 
 
 def test_windows_by_hand():
     episodes = play(3, 2, lengths=[3, 7])
     episodes = episodes._replace(reward=jnp.arange(14.0).reshape(2, 7))
-    buffer = frame_replay.add(frame_replay.init(64, 20, example(episodes)), episodes)
-    window = take_window(buffer, jnp.arange(4), 3, 0.5)
+    buffer = ADD(frame_replay.init(64, 20, example(episodes)), episodes)
+    window = WINDOW(buffer, jnp.arange(4), 3, 0.5)
     np.testing.assert_allclose(window.reward, [0 + 0.5 + 0.5, 1 + 1, 2, 7 + 4 + 9 / 4])
     np.testing.assert_allclose(window.discount, [0, 0, 0, 0.125])
-    assert_same(window.first, frame_replay.take(buffer, jnp.arange(4)))
+    assert_same(window.first, TAKE(buffer, jnp.arange(4)))
     assert_same(window.last_obs[3], episodes.next_obs[1, 2])
-    single = take_window(buffer, jnp.arange(4), 1, 0.5)
+    single = WINDOW(buffer, jnp.arange(4), 1, 0.5)
     np.testing.assert_allclose(single.reward, [0, 1, 2, 7])
     np.testing.assert_allclose(single.discount, [0.5, 0.5, 0, 0.5])
     cut = episodes._replace(truncated=episodes.terminated, terminated=episodes.truncated)
-    buffer = frame_replay.add(frame_replay.init(64, 20, example(cut)), cut)
-    window = take_window(buffer, jnp.arange(3), 3, 0.5)
+    buffer = ADD(frame_replay.init(64, 20, example(cut)), cut)
+    window = WINDOW(buffer, jnp.arange(3), 3, 0.5)
     np.testing.assert_allclose(window.discount, [0.125, 0.25, 0.5])  # truncation never cuts
 
 
@@ -128,12 +138,12 @@ def test_what_lost_its_frames_is_not_drawn():
     parts = [play(seed, 1, lengths=[length]) for seed, length in enumerate([7, 5, 2, 7, 6, 3, 7])]
     buffer = frame_replay.init(16, 20, example(parts[0]))
     for number, part in enumerate(parts, start=1):
-        buffer = frame_replay.add(buffer, part)
+        buffer = ADD(buffer, part)
         check(buffer, parts[:number])
     assert int(buffer.size) == 16 - 3
     few = frame_replay.init(64, 2, example(parts[0]))
     for part in parts:
-        few = frame_replay.add(few, part)
+        few = ADD(few, part)
     assert check(few, parts) == 3 + 7
 
 
@@ -143,7 +153,7 @@ def test_samples_are_uniform_and_whole():
     empty = frame_replay.sample(buffer, jax.random.key(0), (3,))
     assert not empty.mask.any()
     for part in parts:
-        buffer = frame_replay.add(buffer, part)
+        buffer = ADD(buffer, part)
     drawn = frame_replay.sample(buffer, jax.random.key(0), (100, 40))
     assert drawn.obs.shape == (100, 40, 5, 5, 12) and drawn.mask.all()
     rows = {row.tobytes() for row in np.asarray(flat(parts).obs)}

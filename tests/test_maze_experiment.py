@@ -11,12 +11,13 @@ import pytest
 from parts import assert_same
 
 from jaxdyna import frame_replay
-from jaxdyna.experiments import maze, maze_model, plots_frames
+from jaxdyna.experiments import maze, maze_frames, maze_model, plots_frames
 from jaxdyna.experiments.maze_options import Options
 from jaxdyna.experiments.storage import read_curves
 
 TINY = [
-    "--quick", "--seeds", "2", "--episodes", "6", "--stages", "2", "6", "--ablation-stage", "6",
+    "--part", "model", "--quick", "--seeds", "2", "--episodes", "6", "--stages", "2", "6",
+    "--ablation-stage", "6",
     "--steps", "30", "--horizon", "10", "--held-out", "2", "--paper.updates", "3",
     "--lean.updates", "3", "--widths", "4", "4", "4", "--dense", "16", "--lean-widths", "4", "4",
 ]  # fmt: skip
@@ -54,9 +55,9 @@ def test_it_leaves_a_table_and_figures(finished):
 
 def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch):
     """Interrupted within a stage and between arms, then resumed: the same, bit for bit."""
-    monkeypatch.setattr(maze, "PIECE_UPDATES", 2)
+    monkeypatch.setattr(maze_frames, "PIECE_UPDATES", 2)
     part, arms = tmp_path / "part", ["--arms", "paper", "lean"]
-    real, made = maze.make_study, []
+    real, made = maze_frames.make_study, []
 
     def interrupting(options, arm):
         made.append(arm)
@@ -65,10 +66,10 @@ def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch
         return real(options, arm)
 
     with monkeypatch.context() as patch:
-        patch.setattr(maze, "deferred_interrupt", lambda: contextlib.nullcontext([2]))
+        patch.setattr(maze_frames, "deferred_interrupt", lambda: contextlib.nullcontext([2]))
         assert play(part, *arms) == 130
         assert read_curves(part / "curves.npz") == {}
-    monkeypatch.setattr(maze, "make_study", interrupting)
+    monkeypatch.setattr(maze_frames, "make_study", interrupting)
     made.append("paper")
     with pytest.raises(SystemExit) as stop:
         play(part, *arms, "--resume", "--steps", "31")
@@ -97,7 +98,7 @@ def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch
 )
 def test_bad_input_is_one_line(arguments, words, capsys):
     with pytest.raises(SystemExit) as stop:
-        maze.main(arguments)
+        maze.main(["--part", "model", *arguments])
     said = capsys.readouterr().err
     assert stop.value.code == 2 and words in said and len(said.splitlines()) == 1
     assert not Path("never-there-jaxdyna").exists()

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from jaxdyna.experiments import cartpole_model, plots, report
 from jaxdyna.experiments.cartpole_options import Options
-from jaxdyna.experiments.report import Results, interval, markdown_table
+from jaxdyna.experiments.report import Results, markdown_table
 from jaxdyna.experiments.run import Arm, ArmRun
 from jaxdyna.statistics import episodes_to_solve
 
@@ -110,21 +110,7 @@ class CartPoleReport:
         )
 
     def _comparison(self, results: Results) -> list[str]:
-        lines = []
-        for name, ratio in results["ratio_to_model_free"].items():
-            if ratio["ratio"] is None:
-                lines.append(
-                    f"A run of {name} did not solve, so its ratio to model_free is unknown."
-                )
-                continue
-            paper = f"; the paper's is {PAPER_RATIO}" if name == "dyna" and self.paper else ""
-            most = "at most " if ratio["bound"] else ""
-            why = ", because model_free has unsolved runs" if ratio["bound"] else ""
-            lines.append(
-                f"{name} needs {most}**{ratio['ratio']:.2f}** of model_free's episodes{why} "
-                f"(95% interval {interval(ratio['ci95'], 2)}{paper})."
-            )
-        return lines
+        return report.comparison(results, {"dyna": PAPER_RATIO} if self.paper else {})
 
     def _models(self, results: Results) -> list[str]:
         parts = []

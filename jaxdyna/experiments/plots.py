@@ -26,8 +26,9 @@ def learning_curves(
     threshold: float,
     solved_at: Mapping[str, np.ndarray],
     real_first: int,
+    what: str = "return",
 ) -> None:
-    """Fig. 6: a panel an arm, real return against real episodes.
+    """Figs. 6 and 8: a panel an arm, real return against real episodes.
 
     Args:
         path: the PNG.
@@ -35,6 +36,7 @@ def learning_curves(
         threshold: the return that counts as solved.
         solved_at: by arm, ``[seeds]``, infinity where unsolved.
         real_first: N, where dreaming begins.
+        what: the returns are, on the axis.
     """
     window = smoothing_window(max(values.shape[1] for values in returns.values()))
     figure, panels = plt.subplots(
@@ -65,7 +67,31 @@ def learning_curves(
             framealpha=0.85,
             edgecolor="none",
         )
-    panels[0, 0].set_ylabel(f"return (running mean of {window} episodes)")
+    panels[0, 0].set_ylabel(f"{what} (running mean of {window} episodes)")
+    save(figure, path)
+
+
+def behaviour(path: Path, panels: Mapping[str, Mapping[str, np.ndarray]]) -> None:
+    """What episodes are like against their number, a panel a measure, all arms in it.
+
+    Args:
+        path: the PNG.
+        panels: by the measure's name and arm, ``[seeds, episodes]``.
+    """
+    figure, axes = plt.subplots(1, len(panels), figsize=(5.6 * len(panels), 3.8), squeeze=False)
+    for panel, (title, arms) in zip(axes[0], panels.items(), strict=True):
+        window = smoothing_window(max(values.shape[1] for values in arms.values()))
+        for name, values in arms.items():
+            smooth = running_mean(values, window)
+            low, high = mean_interval(smooth)
+            episodes = np.arange(1, smooth.shape[1] + 1)
+            panel.fill_between(episodes, low, high, color=colour(name), alpha=0.2, linewidth=0)
+            panel.plot(episodes, smooth.mean(0), color=colour(name), label=name, linewidth=1.5)
+        panel.set_title(title, loc="left", fontsize=10)
+        panel.set_xlabel(f"real episodes (running mean of {window})")
+        panel.set_ylim(bottom=0)
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.legend(fontsize=8, frameon=False)
     save(figure, path)
 
 

@@ -40,11 +40,12 @@ def describe_arm(curves: Curves, rule: SolveRule) -> Results:
         curves: ``real_return`` and ``real_length``, ``[seeds, episodes]``, and others.
         rule: when a run counts as solved.
     """
-    solved_at = episodes_to_solve(curves["real_return"], rule)
+    score = rule.score(curves)
+    solved_at = episodes_to_solve(score, rule)
     first = solved_at - rule.window + 1
     solved = np.isfinite(solved_at)
     last = curves["real_return"][:, -rule.window :].mean(-1)
-    held = curves["real_return"][:, -HELD_EPISODES:].mean(-1)
+    held = score[:, -HELD_EPISODES:].mean(-1)
     steps = steps_before(curves["real_length"], first)
     # An unsolved run solves with its next episode at the earliest.
     episodes = curves["real_return"].shape[1]
@@ -54,9 +55,9 @@ def describe_arm(curves: Curves, rule: SolveRule) -> Results:
         "episodes_to_solve": summarise(solved_at, at_least=episodes + 1),
         "first_solved": summarise(first, at_least=first_possible),
         "real_steps_to_solve": summarise(steps, at_least=steps_at_least),
-        "first_at_threshold": summarise(_first_at(curves["real_return"], rule.threshold)),
+        "first_at_threshold": summarise(_first_at(score, rule.level)),
         "final_return": summarise(last, solved),
-        "solved_and_held": int((solved & (held >= rule.threshold)).sum()),
+        "solved_and_held": int((solved & (held >= rule.level)).sum()),
         "episodes_played": int(episodes),
         "solve_rule": str(rule),
     }
@@ -80,6 +81,23 @@ def compare(arms: Results, baseline: str) -> Results:
         for name, arm in arms.items()
         if name != baseline
     }
+
+
+def comparison(results: Results, paper: Mapping[str, float]) -> list[str]:
+    """The ratios to model_free in words, a line an arm, the paper's own beside those it gives."""
+    lines = []
+    for name, ratio in results["ratio_to_model_free"].items():
+        if ratio["ratio"] is None:
+            lines.append(f"A run of {name} did not solve, so its ratio to model_free is unknown.")
+            continue
+        said = f"; the paper's is {paper[name]}" if name in paper else ""
+        most = "at most " if ratio["bound"] else ""
+        why = ", because model_free has unsolved runs" if ratio["bound"] else ""
+        lines.append(
+            f"{name} needs {most}**{ratio['ratio']:.2f}** of model_free's episodes{why} "
+            f"(95% interval {interval(ratio['ci95'], 2)}{said})."
+        )
+    return lines
 
 
 def whole(value: float) -> str:
@@ -145,12 +163,16 @@ def interval(ends: Sequence[float | None], digits: int = 0) -> str:
     return f"{low} to {high}"
 
 
-def arm_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of the table of arms, the paper's figure beside ours."""
+def arm_table(
+    results: Results, paper: Mapping[str, float], window: int = 100
+) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of the table of arms, the paper's figure beside ours; ``window`` is the solve
+    rule's.
+    """
     header = [
         "arm", "paper", "episodes to solve: mean", "95% interval", "median", "IQM", "solved",
         "held", "first solved: median", "real steps before it: median",
-        "return of the last 100 played: mean",
+        f"return of the last {window} played: mean",
     ]  # fmt: skip
     rows = []
     for name, arm in results["arms"].items():
@@ -186,10 +208,12 @@ def quantile_table(results: Results, figure: str) -> tuple[list[str], list[list[
     return header, rows
 
 
-def short_table(results: Results, paper: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
+def short_table(
+    results: Results, paper: Mapping[str, float], window: int = 100
+) -> tuple[list[str], list[list[str]]]:
     """The same for the terminal: what fits 80 columns."""
     _, rows = arm_table(results, paper)
-    header = ["arm", "paper", "episodes to solve", "median", "first", "solved", "last 100"]
+    header = ["arm", "paper", "episodes to solve", "median", "first", "solved", f"last {window}"]
     return header, [
         [row[0], row[1], f"{row[2]} ({row[3]})", row[4], row[8], row[6], row[10]] for row in rows
     ]

@@ -126,13 +126,13 @@ class Runner:
     def _solved(self, pieces: list[dict[str, np.ndarray]]) -> np.ndarray:
         if not pieces:
             return np.zeros(len(self.keys), bool)
-        return np.isfinite(episodes_to_solve(join(pieces)["real_return"], self.rule))
+        return np.isfinite(episodes_to_solve(self.rule.score(join(pieces)), self.rule))
 
     def _over(self, pieces: list[dict[str, np.ndarray]], total: int) -> bool:
         done = _episodes(pieces)
         if done >= total or not pieces or self.stop_after_solved is None:
             return done >= total
-        last = episodes_to_solve(join(pieces)["real_return"], self.rule).max()
+        last = episodes_to_solve(self.rule.score(join(pieces)), self.rule).max()
         return done >= last + self.stop_after_solved
 
 

@@ -22,10 +22,14 @@ SUMS = (
 def slim(curves: Curves, above: int = MANY_SEEDS) -> dict[str, np.ndarray]:
     """What is kept of more than ``above`` runs, so that 1,000 of them fit a repository: the sums
     of `jaxdyna.models.evaluation.one_step_sums` become one ``model_error`` an episode: the squared
-    error over the mean square of a step's change, averaged over the state's variables.
+    error over the mean square of a step's change, averaged over the state's variables. Of what
+    only films need (``film_...``) the first run is enough in any case.
     """
+    curves = {
+        name: values[:1] if name.startswith("film_") else values for name, values in curves.items()
+    }
     if len(curves["real_return"]) <= above:
-        return dict(curves)
+        return curves
     kept = {name: values for name, values in curves.items() if name not in (*SUMS, "agent_loss")}
     if "state_error" in curves:
         with np.errstate(invalid="ignore", over="ignore"):

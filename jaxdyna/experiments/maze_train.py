@@ -1,0 +1,143 @@
+"""The Maze: DQN with and without fake episodes from a learned model (§4.2, Fig. 8, Table 2)."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxdyna import frame_replay, memory
+from jaxdyna.agents import DQNConfig, dqn
+from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, Metrics
+from jaxdyna.envs import FrameStack, Maze, MazeParams
+from jaxdyna.envs.stack import StackState
+from jaxdyna.experiments import cli
+from jaxdyna.experiments.maze_train_options import (
+    PRESETS,
+    QUICK,
+    Options,
+    agent_config,
+    dyna_config,
+)
+from jaxdyna.experiments.maze_train_report import MazeReport
+from jaxdyna.experiments.run import Arm
+from jaxdyna.experiments.session import Session
+from jaxdyna.frame_replay import FrameReplay
+from jaxdyna.models import LearnedEnvironment, LearnedParams, PixelConfig, pixels
+from jaxdyna.networks import LocalDynamics
+from jaxdyna.planners import solve_maze
+from jaxdyna.types import Key, Transition
+
+PROG = "python -m jaxdyna.experiments.maze"
+
+
+class Parts(NamedTuple):
+    """What decides the parts of an arm."""
+
+    maze: Maze
+    agent: DQNConfig
+    widths: tuple[int, ...]
+    steps: int
+
+
+@cache
+def make_dyna(parts: Parts) -> Dyna:
+    """The parts of the ``dyna`` arm: one object, and so one program, for the same settings."""
+    env = FrameStack(parts.maze)
+    shape = (parts.maze.size, parts.maze.size, 3)
+    agent = dqn(shape, env.num_actions, parts.agent)
+    model = pixels(shape, env.num_actions, PixelConfig(LocalDynamics(3, parts.widths)))
+    learned = LearnedEnvironment(env, model.predict, draw_stack)
+
+    def learned_params(state: DynaState, hparams: DynaHParams) -> LearnedParams:
+        return LearnedParams(
+            model=state.model.params,
+            start=state.replay,
+            termination_threshold=hparams.termination_threshold,
+            max_steps=hparams.env.max_steps,
+        )
+
+    def watch(real: Transition, begun: StackState, params: MazeParams) -> Metrics:
+        return behaviour(parts.maze, parts.steps, real, begun, params)
+
+    kept = memory.frames(lambda rest: rest["reward"] != 0)
+    return Dyna(env, agent, model, Dream(learned, learned_params), watch=watch, memory=kept)
+
+
+def draw_stack(key: Key, held: FrameReplay) -> jax.Array:
+    """Any real observation: four frames of a replayed episode."""
+    return frame_replay.sample(held, key, ()).obs
+
+
+def behaviour(
+    maze: Maze, steps: int, real: Transition, begun: StackState, params: MazeParams
+) -> Metrics:
+    """What a real episode was like, and what was to be had in it.
+
+    Args:
+        maze: the true one.
+        steps: of an episode, static.
+        real: one episode ``[1, T]``.
+        begun: the state it began in ``[1]``.
+        params: the maze's.
+
+    Returns:
+        ``oracle_return``; ``collisions``; ``time_to_goal``, the steps until it is first reached,
+        one more than the episode has where it is not; ``film_...``: what a film of it needs.
+    """
+    red, green, blue = jnp.moveaxis(real.next_obs[0, ..., -3:] > 0, -1, 0)
+    collision, at_goal = ((one & blue).any((-1, -2)) for one in (red, green))
+    reached = jnp.where(at_goal.any(), jnp.argmax(at_goal), steps) + 1
+    start = jax.tree.map(lambda leaf: leaf[0], begun.env)
+    return {
+        "oracle_return": solve_maze(maze, start, params, steps).best_return,
+        "collisions": collision.sum().astype(jnp.float32),
+        "time_to_goal": reached.astype(jnp.float32),
+        "film_action": real.action[0].astype(jnp.int8),
+        "film_obstacles": start.obstacles.astype(jnp.int8),
+        "film_directions": start.directions.astype(jnp.int8),
+    }
+
+
+def make_arms(options: Options) -> dict[str, Arm]:
+    """The arms by name, each from the same parts. The oracle's dreams are whole episodes of the
+    true maze, as many steps of them as the others dream.
+    """
+    maze = Maze(options.size, options.obstacles)
+    dyna = make_dyna(Parts(maze, agent_config(options), tuple(options.model_widths), options.steps))
+    config, hparams = dyna_config(options), options.hparams
+    hparams = replace(hparams, env=replace(hparams.env, max_steps=options.steps))
+    alone = dyna._replace(model=None, dream=None)
+    oracle = alone._replace(dream=Dream(dyna.env, lambda _, hparams: hparams.env))
+    whole = max(1, options.dream_episodes * options.dream_steps // options.steps)
+    return {
+        "model_free": Arm(alone, config, hparams),
+        "dyna": Arm(dyna, config, hparams),
+        "placebo": Arm(dyna, config, replace(hparams, model_trains=False)),
+        "oracle": Arm(oracle, replace(config, dream_episodes=whole, dream_steps=None), hparams),
+    }
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the experiment from the command line; returns the exit code."""
+    arguments: Any = sys.argv[1:] if argv is None else argv
+    options = cli.parse(QUICK if "--quick" in arguments else PRESETS, arguments, PROG)
+    arms = make_arms(options)
+    session = Session(
+        experiment="maze",
+        prog=PROG,
+        argv=arguments,
+        options=options,
+        out=options.out or Path("runs") / f"maze-{options.preset}",
+        rule=options.rule,
+        keys=jax.random.split(jax.random.key(options.seed), options.seeds),
+        report=MazeReport(options),
+        block=1,
+    )
+    return session.run({name: arms[name] for name in dict.fromkeys(options.arms)})

@@ -1,0 +1,147 @@
+"""The settings of learning to act in the Maze: its command line and its presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from jaxdyna.agents import DQNConfig, DQNHParams
+from jaxdyna.dyna import DynaConfig, DynaHParams
+from jaxdyna.envs import Maze, MazeParams
+from jaxdyna.experiments import cli
+from jaxdyna.models import PixelHParams
+from jaxdyna.statistics import SolveRule
+
+ArmName = Literal["model_free", "dyna", "placebo", "oracle"]
+SHARE_OF_ORACLE = 0.95
+WINDOW = 50
+
+
+@dataclass(frozen=True)
+class Options:
+    """DQN in the Maze, with and without fake episodes from a learned model."""
+
+    part: Literal["train"] = "train"
+    """train: learning to act; model: frame prediction alone (a command line of its own)."""
+    preset: Literal["paper", "lean"] = "paper"
+    """paper: the paper's protocol. lean: the fewest real episodes."""
+    quick: bool = False
+    """A look at everything in minutes: two runs on a small board."""
+    seeds: int = 10
+    """Runs of every arm, all in one jitted program."""
+    seed: int = 0
+    """Base seed of all runs."""
+    episodes: int = 500
+    """Real episodes of a run at the most."""
+    arms: tuple[ArmName, ...] = ("model_free", "dyna")
+    """model_free, dyna, and the controls: placebo never trains its model, oracle dreams in the true
+    environment."""
+    out: Path | None = None
+    """Folder for the results; runs/maze-PRESET by default."""
+    resume: bool = False
+    """Go on with the run in that folder, bit for bit."""
+    stop_after_solved: int | None = 0
+    """Episodes an arm plays on once all its seeds have solved; None plays all of them."""
+    size: int = 16
+    """Cells a side of the board."""
+    obstacles: int = 5
+    """How many of them."""
+    steps: int = 200
+    """Steps of a real episode."""
+    real_first: int = 50
+    """N of the paper: real episodes before the first dream."""
+    model_updates: int = 50
+    """Gradient steps of the model after each real episode."""
+    model_batch: int = 32
+    """Transitions in each."""
+    model_widths: tuple[int, ...] = (32, 32, 32)
+    """Channels of the model's 3x3 convolutions."""
+    rare_share: float | None = 0.25
+    """Share of each model batch drawn from transitions with a reward; None: as they come."""
+    dream_updates: int = 1
+    """Times that dreams are played and learned from after each real episode."""
+    dream_episodes: int = 64
+    """Fake episodes in each."""
+    dream_steps: int = 10
+    """The longest fake episode; each begins at a real stack of frames."""
+    agent: DQNConfig = field(default_factory=lambda: DQNConfig(updates=50, fake_updates=100))
+    """DQN's counts."""
+    hparams: DynaHParams = field(
+        default_factory=lambda: DynaHParams(
+            agent=DQNHParams(), model=PixelHParams(3e-3), env=MazeParams()
+        )
+    )
+    """Learning rates, discount, rewards: what `jaxdyna.sweep` can sweep."""
+
+    def __post_init__(self) -> None:
+        cli.check_common(self)
+        if not self.arms:
+            raise ValueError("--arms is empty: name at least one arm")
+        if self.hparams.env.max_steps not in (MazeParams().max_steps, self.steps):
+            raise ValueError("--hparams.env.max-steps is decided by --steps: leave it out")
+        cli.check_numbers(self.hparams, "--hparams", may_be_infinite=["disagreement_threshold"])
+        for name in ("discount", "epsilon_first", "epsilon_last", "epsilon_fake", "fake_share"):
+            if not 0 <= getattr(self.hparams.agent, name) <= 1:
+                flag = f"--hparams.agent.{name.replace('_', '-')}"
+                raise ValueError(f"{flag} must lie between 0 and 1")
+        if self.dream_steps > self.steps:
+            raise ValueError("--dream-steps is more than --steps: a dream is no longer than that")
+        if min(self.model_widths, default=0) < 1:
+            raise ValueError("--model-widths: give numbers of at least 1")
+        Maze(self.size, self.obstacles)
+        dyna_config(self)
+
+    @property
+    def rule(self) -> SolveRule:
+        """When a run counts as solved (the Contract's rule)."""
+        return SolveRule(WINDOW, SHARE_OF_ORACLE, "oracle_return")
+
+
+def dyna_config(options: Options) -> DynaConfig:
+    """The counts of a run."""
+    return DynaConfig(
+        num_episodes=options.episodes,
+        num_real_first=options.real_first,
+        num_steps=options.steps,
+        model_updates=options.model_updates,
+        model_batch=options.model_batch,
+        dream_updates=options.dream_updates,
+        dream_episodes=options.dream_episodes,
+        dream_steps=options.dream_steps,
+        rare_share=options.rare_share,
+    )
+
+
+def agent_config(options: Options) -> DQNConfig:
+    """DQN's counts, with room for what this run can add to its replays and no more."""
+    real = options.episodes * options.steps
+    fake = options.dream_updates * options.dream_episodes * options.dream_steps
+    agent = options.agent
+    return replace(
+        agent,
+        capacity=max(min(agent.capacity, real), options.steps),
+        episodes=min(agent.episodes, options.episodes),
+        fake_capacity=max(agent.fake_capacity, fake),
+        fake_episodes=max(agent.fake_episodes, agent.fake_capacity // options.dream_steps),
+    )
+
+
+PAPER = Options()
+LEAN = replace(
+    PAPER,
+    preset="lean",
+    episodes=150,
+    real_first=15,
+    model_updates=150,
+    dream_episodes=320,
+    agent=DQNConfig(updates=100, fake_updates=400, fake_capacity=32_000),
+    hparams=DynaHParams(
+        agent=DQNHParams(epsilon_hold=15.0, epsilon_episodes=15.0),
+        model=PixelHParams(3e-3),
+        env=MazeParams(),
+    ),
+)
+PRESETS = {"paper": PAPER, "lean": LEAN}
+_FEW: dict[str, Any] = {"quick": True, "seeds": 2, "size": 6, "obstacles": 1, "steps": 40}
+QUICK = {name: replace(preset, **_FEW, episodes=80) for name, preset in PRESETS.items()}

@@ -1,0 +1,205 @@
+"""What learning to act in the Maze leaves behind: Fig. 8, the table, behaviour, films."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+
+from jaxdyna.envs import Maze, MazeParams, MazeState
+from jaxdyna.experiments import plots, plots_frames, report
+from jaxdyna.experiments.maze_train_options import SHARE_OF_ORACLE, WINDOW, Options
+from jaxdyna.experiments.report import Results, interval, markdown_table
+from jaxdyna.experiments.run import Arm, ArmRun
+from jaxdyna.planners import solve_maze
+from jaxdyna.rollout import first_states, rollout
+from jaxdyna.statistics import bootstrap_interval, episodes_to_solve
+
+PAPER = {"model_free": 700.0, "dyna": 250.0}
+PAPER_RATIO = 0.36
+STARTS = 100
+FILMED = (1, 50, 100, 200)
+FILM_STEPS = 100
+Curves = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class MazeReport:
+    """The experiment's own part of a `jaxdyna.experiments.session.Session`."""
+
+    options: Options
+
+    def analyse(self, arm: Arm, run: ArmRun, key: jax.Array) -> Curves:
+        """The final greedy policies on new starts: ``greedy_...`` ``[seeds, starts]``."""
+        env, agent = arm.dyna.env, arm.dyna.agent
+        params, steps = arm.hparams.env, self.options.steps
+        greedy = replace(arm.hparams.agent, epsilon_first=0.0, epsilon_last=0.0)
+        policies = replace(run.state.agent, real=None, fake=None)
+
+        def judge(state, key):
+            def act(obs, key):
+                return agent.act(state, obs, key, greedy)
+
+            played = rollout(env, act, key, params, STARTS, num_steps=steps)
+            starts = first_states(env, jax.random.clone(key), params, STARTS).env
+            plans = jax.vmap(lambda start: solve_maze(env.env, start, params, steps))(starts)
+            hit = (played.next_obs[..., -3] & played.next_obs[..., -1]).any((-1, -2))
+            return {
+                "greedy_return": played.reward.sum(-1),
+                "greedy_oracle": plans.best_return,
+                "greedy_collisions": hit.sum(-1),
+            }
+
+        keys = jax.random.split(key, len(jax.tree.leaves(policies)[0]))
+        judged = jax.jit(lambda *args: jax.lax.map(lambda pair: judge(*pair), args))(policies, keys)
+        return jax.tree.map(np.asarray, judged)
+
+    def describe(self, curves: Curves) -> Results:
+        """The final greedy policy in numbers."""
+        share = curves["greedy_return"].mean(1) / curves["greedy_oracle"].mean(1)
+        hits = curves["greedy_collisions"].mean(1)
+        return {"greedy": {"share": _summary(share), "collisions": _summary(hits)}}
+
+    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+        """``fig8.png``, ``solved.png``, ``behaviour.png``, ``film_ARM.gif``."""
+        shares = {name: arm["real_return"] / arm["oracle_return"] for name, arm in curves.items()}
+        rule = self.options.rule
+        solved_at = {name: episodes_to_solve(rule.score(arm), rule) for name, arm in curves.items()}
+        plots.learning_curves(
+            out / "fig8.png",
+            shares,
+            SHARE_OF_ORACLE,
+            solved_at,
+            self.options.real_first,
+            what="share of the oracle's return",
+        )
+        plots.solved_share(
+            out / "solved.png", {name: at - WINDOW + 1 for name, at in solved_at.items()}
+        )
+        plots.behaviour(
+            out / "behaviour.png",
+            {
+                "collisions an episode": {n: arm["collisions"] for n, arm in curves.items()},
+                "steps until the goal": {n: arm["time_to_goal"] for n, arm in curves.items()},
+            },
+        )
+        for name, arm in curves.items():
+            columns = self._film(arm)
+            plots_frames.film(out / f"film_{name}.gif", columns)
+
+    def _film(self, curves: Curves) -> dict[str, np.ndarray]:
+        """Real episodes of the first run at stages of its training, by title."""
+        played = curves["film_action"].shape[1]
+        columns = {}
+        for number in sorted({n for n in FILMED if n <= played} | {played}):
+            placed, headed, done = (
+                curves[f"film_{part}"][0, number - 1]
+                for part in ("obstacles", "directions", "action")
+            )
+            frames = replay_frames(self.options, placed, headed, done)
+            columns[f"episode {number}"] = frames[:FILM_STEPS]
+        return columns
+
+    def markdown(self, results: Results) -> str:
+        """The report."""
+        parts = [
+            f"# The Maze, `{self.options.preset}` preset",
+            f"`{results['command']}`",
+            f"{self.options.seeds} runs of each arm. {str(self.options.rule).capitalize()}. The "
+            "oracle's return is the most that could be had from an episode's own start (value "
+            "iteration). The rule is the same for all arms and counts every real episode. An "
+            "unsolved run is never dropped: it leaves the mean undefined, of which only a lower "
+            "bound (≥) is then known.",
+            markdown_table(*report.arm_table(results, PAPER, WINDOW)),
+            *self._comparison(results),
+            "![Fig. 8: share of the oracle's return against real episodes](fig8.png)",
+            "![share of the runs that have solved](solved.png)",
+            "## What is learned, when",
+            "![collisions and steps until the goal against real episodes](behaviour.png)",
+            *(f"![real episodes of `{name}`, first run](film_{name}.gif)"
+              for name in results["arms"]),
+            "## The final policy",
+            f"Greedy, on {STARTS} new starts a run: share of the oracle's return, and collisions "
+            "an episode.",
+            markdown_table(*_greedy_table(results)),
+            "## Time",
+            markdown_table(*_time_table(results)),
+        ]  # fmt: skip
+        return "\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
+
+    def summary(self, console: Console, results: Results) -> None:
+        """The table in the terminal, and the ratio under it."""
+        title = f"Maze, {self.options.preset} preset, {self.options.seeds} runs an arm"
+        report.print_table(console, title, *report.short_table(results, PAPER, WINDOW))
+        for line in self._comparison(results):
+            console.print(line.replace("**", ""))
+        timing = results["timing"]
+        console.print(f"{timing['total_s']:.0f} s in all")
+
+    def _comparison(self, results: Results) -> list[str]:
+        return report.comparison(results, {"dyna": PAPER_RATIO})
+
+
+def replay_frames(
+    options: Options, obstacles: np.ndarray, directions: np.ndarray, actions: np.ndarray
+) -> np.ndarray:
+    """The frames of an episode, uint8 ``[T + 1, H, W, 3]``: nothing in the Maze is random once its
+    obstacles are placed.
+
+    Args:
+        options: the experiment's.
+        obstacles: cells at the start ``[n, 2]``.
+        directions: ``[n]``.
+        actions: ``[T]``.
+    """
+    maze = Maze(options.size, options.obstacles)
+
+    def play(obstacles, directions, actions):
+        agent, goal = jnp.array(maze.start_cell), jnp.array(maze.goal_cell)
+        start = MazeState(agent, goal, obstacles, directions, jnp.int32(0))
+
+        def step(state, action):
+            state = maze.step(jax.random.key(0), state, action, MazeParams())[1]
+            return state, maze.frame(state)
+
+        frames = jax.lax.scan(step, start, actions)[1]
+        return jnp.concatenate([maze.frame(start)[None], frames])
+
+    as_int = (jnp.asarray(part, jnp.int32) for part in (obstacles, directions, actions))
+    return np.asarray(jax.jit(play)(*as_int))
+
+
+def _greedy_table(results: Results) -> tuple[list[str], list[list[str]]]:
+    rows = []
+    for name, arm in results["arms"].items():
+        share, hits = arm["greedy"]["share"], arm["greedy"]["collisions"]
+        rows.append(
+            [
+                name,
+                f"{share['mean']:.3f} ({interval(share['ci95'], 3)})",
+                f"{hits['mean']:.2f} ({interval(hits['ci95'], 2)})",
+            ]
+        )
+    return ["arm", "share of the oracle's return", "collisions"], rows
+
+
+def _time_table(results: Results) -> tuple[list[str], list[list[str]]]:
+    rows = [
+        [name, f"{arm['compile_s']:.0f}", f"{arm['run_s']:.0f}"]
+        for name, arm in results["timing"]["arms"].items()
+    ]
+    cores = results["device"]["cpu_cores"]
+    return [f"arm ({cores} cores)", "compiling (s)", "running (s)"], rows
+
+
+def _summary(values: np.ndarray) -> Results:
+    return {
+        "mean": float(values.mean()),
+        "ci95": bootstrap_interval(values, lambda rows: rows.mean(-1)),
+        "per_seed": values.tolist(),
+    }

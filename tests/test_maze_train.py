@@ -1,0 +1,116 @@
+"""Learning to act in the Maze: command line, report, what is measured of an episode."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from jaxdyna.envs import FrameStack, Maze, MazeParams
+from jaxdyna.experiments import maze
+from jaxdyna.experiments.maze_train import behaviour
+from jaxdyna.experiments.maze_train_options import LEAN, PAPER, Options, agent_config
+from jaxdyna.experiments.maze_train_report import replay_frames
+from jaxdyna.experiments.storage import read_curves
+from jaxdyna.planners import solve_maze
+from jaxdyna.rollout import first_states, rollout
+from jaxdyna.statistics import SolveRule, episodes_to_solve
+
+TINY = [
+    "--quick", "--seeds", "2", "--episodes", "52", "--size", "4", "--steps", "8",
+    "--real-first", "50", "--model-updates", "1", "--model-batch", "4", "--model-widths", "4",
+    "--dream-episodes", "2", "--dream-steps", "3", "--agent.updates", "1",
+    "--agent.fake-updates", "1", "--agent.batch", "4", "--arms", "model_free", "dyna",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    out = tmp_path_factory.mktemp("maze")
+    assert maze.main([*TINY, "--out", str(out)]) == 0
+    return out
+
+
+def test_it_leaves_what_the_contract_asks_for(finished):
+    results = json.loads((finished / "results.json").read_text())
+    assert results["experiment"] == "maze" and set(results["arms"]) == {"model_free", "dyna"}
+    for arm in results["arms"].values():
+        for name in ("episodes_to_solve", "first_solved", "real_steps_to_solve"):
+            assert len(arm[name]["per_seed"]) == 2
+        assert "0.95 of the mean oracle return" in arm["solve_rule"]
+        assert arm["greedy"]["share"]["mean"] <= 1
+    report = (finished / "report.md").read_text()
+    for name in ("fig8.png", "solved.png", "behaviour.png", "film_dyna.gif"):
+        assert f"({name})" in report and (finished / name).exists()
+    curves = read_curves(finished / "curves.npz")
+    alone, dyna = curves["model_free"], curves["dyna"]
+    np.testing.assert_array_equal(alone["real_return"][:, :50], dyna["real_return"][:, :50])
+    np.testing.assert_array_equal(alone["oracle_return"], dyna["oracle_return"])
+    assert (dyna["real_return"] <= dyna["oracle_return"] + 1e-4).all()
+    assert dyna["film_action"].shape == (1, 52, 8)
+    assert np.isnan(dyna["fake_return"][:, :49]).all()
+    assert np.isfinite(dyna["fake_return"][:, 49:]).all()
+
+
+def test_what_is_said_of_an_episode_is_what_happened():
+    world, params = Maze(size=3, num_obstacles=2), MazeParams(max_steps=30)
+    env, key = FrameStack(world), jax.random.key(2)
+
+    def act(obs, key):
+        return jax.random.randint(key, (), 0, 5)
+
+    played = rollout(env, act, key, params, 1, num_steps=30)
+    begun = first_states(env, jax.random.clone(key), params, 1)
+    said = behaviour(world, 30, played, begun, params)
+    start = jax.tree.map(lambda leaf: leaf[0], begun.env)
+    collisions, reached, state = 0, [], start
+    for time, action in enumerate(played.action[0]):
+        _, state, _, _, _, info = world.step(jax.random.key(0), state, action, params)
+        collisions += int(info["collision"])
+        reached += [time + 1] if info["at_goal"] else []
+    assert collisions > 0 and reached
+    assert said["collisions"] == collisions and said["time_to_goal"] == reached[0]
+    assert said["oracle_return"] == solve_maze(world, start, params, 30).best_return
+    frames = replay_frames(
+        Options(size=3, obstacles=2, steps=30, dream_steps=5),
+        said["film_obstacles"], said["film_directions"], said["film_action"],
+    )  # fmt: skip
+    np.testing.assert_array_equal(frames[1:], played.next_obs[0, ..., -3:])
+    never = played._replace(next_obs=played.next_obs.at[..., -2].set(0))
+    assert behaviour(world, 30, never, begun, params)["time_to_goal"] == 31
+
+
+def test_solve_rule_by_hand():
+    rule = SolveRule(2, 0.95, "oracle_return")
+    curves = {
+        "real_return": np.array([[0.0, 90.0, 96.0, 60.0], [0.0, 0.0, 0.0, 0.0]]),
+        "oracle_return": np.array([[100.0, 95.0, 100.0, 60.0], [10.0, 10.0, 10.0, 10.0]]),
+    }
+    solved = episodes_to_solve(rule.score(curves), rule)
+    np.testing.assert_array_equal(solved, [3, np.inf])  # 186 of 195
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--size", "1"], "at least 2 cells"),
+        (["--dream-steps", "300"], "--dream-steps"),
+        (["--hparams.agent.discount", "1.5"], "--hparams.agent.discount"),
+        (["--agent.batch", "0"], "batch is 0"),
+        (["--hparams.env.max-steps", "7"], "--steps"),
+        (["--arms"], "--arms"),
+    ],
+)
+def test_bad_input_is_one_line(arguments, words, capsys):
+    with pytest.raises(SystemExit) as stop:
+        maze.main(arguments)
+    said = capsys.readouterr().err
+    assert stop.value.code == 2 and words in said and len(said.splitlines()) == 1
+
+
+def test_replays_are_no_larger_than_a_run_can_fill():
+    config = agent_config(Options(episodes=60, steps=100))
+    assert (config.capacity, config.episodes) == (6000, 60)
+    assert agent_config(LEAN).capacity == 30_000
+    needed = PAPER.dream_episodes * PAPER.dream_steps
+    assert agent_config(PAPER).fake_capacity >= needed
