@@ -76,7 +76,7 @@ class MazeReport:
             SHARE_OF_ORACLE,
             solved_at,
             self.options.real_first,
-            what="share of the oracle's return",
+            what="share of oracle",
         )
         plots.solved_share(
             out / "solved.png", {name: at - WINDOW + 1 for name, at in solved_at.items()}
