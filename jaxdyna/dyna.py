@@ -87,7 +87,7 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
         agent = dyna.agent.init(key_agent, hparams.agent)
         if dyna.model is None:
             return DynaState(agent, None, None, None, key)
-        episode = jax.eval_shape(lambda: _play_real(dyna, config, agent, key, hparams))
+        episode = jax.eval_shape(lambda: play_real(dyna, config, agent, key, hparams))
         example = jax.tree.map(
             lambda leaf: jax.ShapeDtypeStruct(leaf.shape[2:], leaf.dtype), episode
         )
@@ -118,7 +118,7 @@ def make_advance(
         key, key_real, key_agent, key_model, key_dream = jax.random.split(state.key, 5)
         state = replace(state, key=key)
         dreaming = episode + 1 >= config.num_real_first
-        real = _play_real(dyna, config, state.agent, key_real, hparams)
+        real = play_real(dyna, config, state.agent, key_real, hparams)
         agent, metrics = _learn_policy(dyna, config, state.agent, real, episode, key_agent, hparams)
         state = replace(state, agent=agent)
         if dyna.watch is not None:
@@ -128,7 +128,7 @@ def make_advance(
         if dyna.model is not None:
             key_judge, key_sample, key_update = jax.random.split(key_model, 3)
             state, judgement = _remember(dyna, config, state, real, episode, key_judge)
-            train = partial(_train_model, dyna, config, state, key_sample, key_update, hparams)
+            train = partial(train_model, dyna, config, state, key_sample, key_update, hparams)
             model, training = where_needed(True, awake, axes, train, state.model)
             state = replace(state, model=model)
             metrics |= judgement | training
@@ -159,7 +159,9 @@ def make_train(
     return train
 
 
-def _play_real(dyna, config, agent, key, hparams) -> Transition:
+def play_real(dyna, config, agent, key, hparams) -> Transition:
+    """One real episode ``[1, T]``."""
+
     def act(obs, key):
         return dyna.agent.act(agent, obs, key, hparams.agent)
 
@@ -189,7 +191,7 @@ def _remember(dyna, config, state, real, episode, key) -> tuple[DynaState, Metri
     return replace(state, replay=held, starts=starts), metrics
 
 
-def _train_model(dyna, config, state, key_sample, key_update, hparams) -> tuple[Any, Metrics]:
+def train_model(dyna, config, state, key_sample, key_update, hparams) -> tuple[Any, Metrics]:
     """Gradient steps on all that is stored; returns the model's new state."""
     shape = (config.model_updates, config.model_batch)
     batches = dyna.memory.sample(state.replay, key_sample, shape, config.rare_share)
@@ -208,26 +210,26 @@ def _train_model(dyna, config, state, key_sample, key_update, hparams) -> tuple[
     return model, {"model_loss": loss}
 
 
+def play_dreams(dyna, config, agent, env_params, key, hparams) -> Transition:
+    """Fake episodes ``[N, T]`` to learn from once."""
+    fake_act = dyna.agent.act_fake or dyna.agent.act
+
+    def act(obs, key):
+        return fake_act(agent, obs, key, hparams.agent)
+
+    steps = config.dream_steps or config.num_steps
+    return rollout(dyna.dream.env, act, key, env_params, config.dream_episodes, num_steps=steps)
+
+
 def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metrics]:
     """Policy updates on fake episodes; returns the agent's new state."""
     env_params = dyna.dream.params(state, hparams)
     weight = jnp.where(episode + 1 >= hparams.num_real_first, hparams.fake_weight, 0.0)
 
-    fake_act = dyna.agent.act_fake or dyna.agent.act
     learn = dyna.agent.update_fake or dyna.agent.update
 
     def update(agent, key_play, key_update):
-        def act(obs, key):
-            return fake_act(agent, obs, key, hparams.agent)
-
-        fake = rollout(
-            dyna.dream.env,
-            act,
-            key_play,
-            env_params,
-            config.dream_episodes,
-            num_steps=config.dream_steps or config.num_steps,
-        )
+        fake = play_dreams(dyna, config, agent, env_params, key_play, hparams)
         weighted = fake._replace(mask=fake.mask * weight)
         agent, _ = learn(agent, weighted, key_update, hparams.agent)
         return (agent, ~fake.terminated.any()), _summary("fake", fake)

@@ -67,7 +67,7 @@ class FrameReplay:
     @property
     def held(self) -> jax.Array:
         """Which positions hold a transition that can be drawn: bool ``[capacity]``."""
-        number = self._number(jnp.arange(self.capacity))
+        number = self.number(jnp.arange(self.capacity))
         return (number >= self.oldest) & (number >= 0)
 
     @property
@@ -75,7 +75,7 @@ class FrameReplay:
         """How many transitions can be drawn."""
         return jnp.maximum(self.added - self.oldest, 0)
 
-    def _number(self, position: jax.Array) -> jax.Array:
+    def number(self, position: jax.Array) -> jax.Array:
         """Numbers of the transitions at these positions; negative where there is none."""
         newest = self.added - 1
         return newest - (newest - position) % self.capacity
@@ -191,7 +191,7 @@ def sample(
     """
     if weight is None:
         return take(replay, sample_numbers(replay, key, shape))
-    return take(replay, replay._number(draw(weight, key, shape)))
+    return take(replay, replay.number(draw(weight, key, shape)))
 
 
 def sample_numbers(replay: FrameReplay, key: Key, shape: tuple[int, ...]) -> jax.Array:

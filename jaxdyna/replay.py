@@ -8,6 +8,8 @@ from flax import struct
 
 from jaxdyna.types import Key, PyTree
 
+ROW = 256
+
 
 @struct.dataclass
 class Replay:
@@ -114,27 +116,44 @@ def sample_distinct(replay: Replay, key: Key, count: int) -> PyTree:
 
 
 def share_weight(held: jax.Array, marked: jax.Array, share: jax.Array | float) -> jax.Array:
-    """Weights for `sample` that give the marked items ``share`` of the draws: rare ones are seen
-    often enough to be learned. Where none (or all) of the items held are marked it is uniform.
+    """Weights for `sample` that give each kind of the marked items at least an equal part of
+    ``share`` of the draws: rare ones are seen often enough to be learned, ones that have become
+    common as often as they come.
 
     Args:
         held: bool ``[capacity]``, such as `Replay.held`.
-        marked: bool ``[capacity]``.
+        marked: bool ``[capacity]``, or ``[kinds, capacity]``, no item of two kinds.
         share: between 0 and 1.
 
     Returns:
         ``[capacity]``, 0 for what is not held.
     """
-    marked, other = held & marked, held & ~marked
-    count, rest = marked.sum(), other.sum()
-    share = jnp.where(count == 0, 0.0, jnp.where(rest == 0, 1.0, share))
-    return marked * share / jnp.maximum(count, 1) + other * (1 - share) / jnp.maximum(rest, 1)
+    kinds = held & jnp.atleast_2d(marked)
+    other = held & ~kinds.any(0)
+    counts, rest = kinds.sum(-1), other.sum()
+    part = jnp.where(counts > 0, share / jnp.maximum((counts > 0).sum(), 1), 0.0)
+    shares = jnp.maximum(counts / jnp.maximum(held.sum(), 1), part)
+    left = jnp.maximum(1 - shares.sum(), 0.0)
+    each = shares / jnp.maximum(counts, 1)
+    return (kinds * each[:, None]).sum(0) + other * left / jnp.maximum(rest, 1)
 
 
 def draw(weight: jax.Array, key: Key, shape: tuple[int, ...]) -> jax.Array:
-    """Positions ``[*shape]`` drawn with probabilities in proportion to ``weight [capacity]``."""
-    cumulative = jnp.cumsum(weight)
-    height = jax.random.uniform(key, shape) * cumulative[-1]
-    position = jnp.searchsorted(cumulative, height.reshape(-1), side="right").reshape(shape)
-    last = weight.shape[0] - 1 - jnp.argmax(weight[::-1] > 0)  # where rounding met the top
-    return jnp.minimum(position, last)
+    """Positions ``[*shape]`` drawn with probabilities in proportion to ``weight [capacity]``: first
+    a row of them, then one in it, which saves running sums over all.
+    """
+    rows = jnp.pad(weight, (0, -weight.size % ROW)).reshape(-1, ROW)
+    sums = rows.sum(1)
+    ends = jnp.cumsum(sums)
+    height = jax.random.uniform(key, shape).reshape(-1) * ends[-1]
+    row = jnp.minimum(jnp.searchsorted(ends, height, side="right"), _last(sums > 0))
+    within = jnp.maximum(height - (ends - sums)[row], 0.0)  # rounding
+    chosen = rows[row]
+    column = (jnp.cumsum(chosen, -1) <= within[:, None]).sum(-1)
+    column = jnp.minimum(column, _last(chosen > 0))
+    return jnp.minimum(row * ROW + column, weight.size - 1).reshape(shape)
+
+
+def _last(flags: jax.Array) -> jax.Array:
+    """The last position along the last axis that is true, the very last where none is."""
+    return flags.shape[-1] - 1 - jnp.argmax(flags[..., ::-1], axis=-1)

@@ -15,11 +15,11 @@ from jaxdyna.agents import DQNConfig, DQNHParams, dqn
 from jaxdyna.agents.dqn import _mixed, epsilon_now
 from jaxdyna.envs import FrameStack, Maze, MazeParams
 from jaxdyna.losses import td_error
-from jaxdyna.networks import AttentionQ
+from jaxdyna.networks import GlimpseQ
 
 SIZE = 4
 ENV = FrameStack(Maze(size=SIZE, num_obstacles=1))
-NETWORK = AttentionQ(5, widths=(8,), heads=2, hidden=(16,))
+NETWORK = GlimpseQ(5, size=3, hidden=(16,))
 SMALL = DQNConfig(
     network=NETWORK, updates=3, fake_updates=2, batch=8, capacity=200, episodes=30,
     fake_capacity=60, fake_episodes=20,
@@ -76,7 +76,7 @@ def test_a_batch_is_mixed_as_it_is_told(share):
     real, fake = (play(seed)._replace(reward=jnp.full((2, 6), float(seed))) for seed in (0, 1))
 
     def mean_reward(seed):
-        return float(_mixed(state, jax.random.key(seed), hparams, config).reward.mean())
+        return float(_mixed(state, jax.random.key(seed), hparams, config)[0].reward.mean())
 
     state, _ = agent.update(state, real, jax.random.key(1), hparams)
     assert mean_reward(2) == 0
@@ -166,9 +166,11 @@ def test_it_finds_the_goal():
     """Without obstacles on a small board the greedy way to the goal is the shortest."""
     env = FrameStack(Maze(size=SIZE, num_obstacles=0))
     params = MazeParams(max_steps=12)
-    agent = make(updates=50, batch=32, capacity=2000, episodes=200)
+    agent = make(
+        network=GlimpseQ(5, size=3, hidden=(64,)), updates=50, batch=32, capacity=2000, episodes=200
+    )
     hparams = DQNHParams(
-        epsilon_hold=20.0, epsilon_episodes=20.0, learning_rate=3e-3, target_rate=0.02
+        epsilon_hold=40.0, epsilon_episodes=20.0, target_rate=0.02, reward_scale=1.0
     )
 
     def episode(carry, _):
@@ -185,7 +187,7 @@ def test_it_finds_the_goal():
     def train(key):
         key_init, key = jax.random.split(key)
         start = (agent.init(key_init, hparams), key)
-        return jax.lax.scan(episode, start, length=60)[1]
+        return jax.lax.scan(episode, start, length=80)[1]
 
     returns = train(jax.random.key(0))
     assert returns[-10:].mean() >= 0.95 * (12 - 2 * (SIZE - 1) + 1)

@@ -17,12 +17,12 @@ from jaxdyna.models import (
     PixelHParams,
     pixels,
 )
-from jaxdyna.networks import AttentionQ, LocalDynamics
+from jaxdyna.networks import GlimpseQ, LocalDynamics
 from jaxdyna.planners import solve_maze
 
 SIZE, STEPS, EPISODES, FIRST = 4, 8, 5, 3
 ENV = FrameStack(Maze(size=SIZE, num_obstacles=1))
-NETWORK = AttentionQ(5, widths=(8,), heads=2, hidden=(16,))
+NETWORK = GlimpseQ(5, size=3, hidden=(16,))
 AGENT = dqn(
     (SIZE, SIZE, 3), 5,
     DQNConfig(
@@ -69,7 +69,7 @@ def test_dreams_branch_off_from_real_frames(run):
     assert (metrics["fake_length"][dreaming] == 4).all()
     real, numbers = state.replay, jnp.arange(EPISODES * STEPS)
     frames = {frame.tobytes() for frame in np.asarray(frame_replay.take(real, numbers).obs)}
-    fake = state.agent.fake
+    fake = state.agent.fake.memory
     firsts = np.flatnonzero(np.asarray(fake.time)[: int(fake.added)] == 0)
     begun = np.asarray(frame_replay.take(fake, jnp.asarray(firsts)).obs)
     assert all(stack.tobytes() in frames for stack in begun)

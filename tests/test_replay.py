@@ -67,7 +67,11 @@ def test_marked_items_get_their_share_of_the_draws():
     for none_or_all in (np.zeros(2000, bool), np.ones(2000, bool)):
         counts = np.bincount(draw(none_or_all, 0.25).ravel(), minlength=1000)
         assert len(counts) == 1000 and counts.max() < 40
-    assert not np.isin(draw(rare, 0.0), [3, 700]).any()
+    assert np.isin(draw(rare, 0.0), [3, 700]).mean() < 0.01
+    kinds = np.stack([rare, np.arange(2000) >= 600])
+    drawn = draw(kinds * (np.arange(2000) != 700), 0.5)
+    assert (drawn == 3).mean() == pytest.approx(0.25, abs=0.02)
+    assert (drawn >= 600).mean() == pytest.approx(0.4, abs=0.02)  # common: as often as they come
     assert set(np.unique(draw(rare, 1.0))) == {3, 700}
 
 

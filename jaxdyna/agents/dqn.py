@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +13,11 @@ import optax
 from flax import struct
 
 from jaxdyna import frame_replay
+from jaxdyna.agents import prioritized
 from jaxdyna.agents.dqn_settings import DQNConfig, DQNHParams
-from jaxdyna.frame_replay import FrameReplay
+from jaxdyna.agents.prioritized import Prioritized
 from jaxdyna.losses import td_error
-from jaxdyna.networks import AttentionQ
+from jaxdyna.networks import GlimpseQ
 from jaxdyna.types import Agent, Key, Transition
 from jaxdyna.windows import Window, take_window
 
@@ -44,11 +45,11 @@ class DQNState:
     steps: jax.Array
     episodes: jax.Array
     drift: jax.Array
-    real: FrameReplay
-    fake: FrameReplay
+    real: Prioritized
+    fake: Prioritized
 
 
-LEARNED = ("params", "target", "opt_state", "steps")
+LEARNED = ("params", "target", "opt_state", "steps", "real", "fake")
 
 
 def dqn(
@@ -70,7 +71,7 @@ def dqn(
         An `Agent` whose hparams are `DQNHParams`.
     """
     config = config or DQNConfig()
-    network = config.network or AttentionQ(num_actions)
+    network = config.network or GlimpseQ(num_actions)
     obs_shape = (*frame_shape[:2], frame_shape[2] * num_frames)
 
     def values(params: Any, obs: jax.Array) -> jax.Array:
@@ -79,6 +80,10 @@ def dqn(
     def init(key: Key, hparams: DQNHParams) -> DQNState:
         params = network.init(key, jnp.zeros((1, *obs_shape)))
         example = _example(obs_shape)
+
+        def empty(capacity: int, episodes: int) -> Prioritized:
+            return prioritized.init(frame_replay.init(capacity, episodes, example, num_frames))
+
         return DQNState(
             params=params,
             target=params,
@@ -86,14 +91,17 @@ def dqn(
             steps=jnp.int32(0),
             episodes=jnp.int32(0),
             drift=jnp.zeros(num_actions),
-            real=frame_replay.init(config.capacity, config.episodes, example, num_frames),
-            fake=frame_replay.init(config.fake_capacity, config.fake_episodes, example, num_frames),
+            real=empty(config.capacity, config.episodes),
+            fake=empty(config.fake_capacity, config.fake_episodes),
         )
+
+    def acting(state: DQNState) -> Any:
+        return state.target if config.act_by_target else state.params
 
     def explore(state: DQNState, obs: jax.Array, key: Key, epsilon: jax.Array) -> jax.Array:
         key_which, key_action = jax.random.split(key)
         exploratory = jax.random.categorical(key_action, state.drift)
-        best = jnp.argmax(values(state.params, obs[None])[0])
+        best = jnp.argmax(values(acting(state), obs[None])[0])
         return jnp.where(jax.random.uniform(key_which) < epsilon, exploratory, best)
 
     def act(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
@@ -123,7 +131,7 @@ def dqn(
         """Stores the episodes, then `DQNConfig.updates` gradient steps."""
 
         def work():
-            real = frame_replay.add(state.real, _weighted(transitions))
+            real = prioritized.add(state.real, _weighted(transitions))
             episodes = state.episodes + transitions.mask.shape[0]
             new = replace(state, real=real, episodes=episodes)
             return learn(new, key, hparams, config.updates)
@@ -134,7 +142,7 @@ def dqn(
         """The same with dreams."""
 
         def work():
-            fake = frame_replay.add(state.fake, _weighted(transitions))
+            fake = prioritized.add(state.fake, _weighted(transitions))
             return learn(replace(state, fake=fake), key, hparams, config.fake_updates)
 
         return _unless_nothing(transitions, work, state)
@@ -153,11 +161,11 @@ def _descend(
     values: Values, config: DQNConfig, state: DQNState, key: Key, hparams: DQNHParams
 ) -> tuple[dict[str, Any], jax.Array]:
     """One gradient step; returns what of the state it changes, and the loss."""
-    batch = _mixed(state, key, hparams, config)
+    batch, draws = _mixed(state, key, hparams, config)
     next_target = values(state.target, batch.last_obs)
     choice = values(state.params, batch.last_obs) if config.double else next_target
 
-    def loss_fn(params):
+    def loss_fn(params: Any) -> tuple[jax.Array, jax.Array]:
         errors = jax.vmap(td_error)(
             values(params, batch.first.obs),
             batch.first.action,
@@ -166,32 +174,65 @@ def _descend(
             next_target,
             choice,
         )
-        return (batch.first.mask * optax.huber_loss(errors)).mean()
+        weight = draws.often**-hparams.importance_exponent
+        weight = batch.first.mask * weight / weight.max()
+        return (weight * optax.huber_loss(errors)).mean(), errors
 
-    loss, grads = jax.value_and_grad(loss_fn)(state.params)
+    (loss, errors), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.params)
     optimizer = config.optimizer(hparams.learning_rate)
     updates, opt_state = optimizer.update(grads, state.opt_state, state.params)
     params = optax.apply_updates(state.params, updates)
     steps = state.steps + 1
     rate = jnp.where(steps % config.target_period == 0, hparams.target_rate, 0.0)
     target = optax.incremental_update(params, state.target, rate)
-    return dict(zip(LEARNED, (params, target, opt_state, steps), strict=True)), loss
+    exponent = hparams.priority_exponent
+    real, fake = (
+        prioritized.reprioritise(held, numbers, errors, which, exponent)
+        for held, numbers, which in (
+            (state.real, draws.real, ~draws.is_fake),
+            (state.fake, draws.fake, draws.is_fake),
+        )
+    )
+    learned = (params, target, opt_state, steps, real, fake)
+    return dict(zip(LEARNED, learned, strict=True)), loss
 
 
-def _mixed(state: DQNState, key: Key, hparams: DQNHParams, config: DQNConfig) -> Window:
+class Draws(NamedTuple):
+    """Where a batch comes from, each ``[batch]``.
+
+    Attributes:
+        is_fake: bool, whether from the fake transitions.
+        real: numbers that were drawn of real transitions.
+        fake: likewise of fake ones.
+        often: how often each is drawn compared with a uniform draw.
+    """
+
+    is_fake: jax.Array
+    real: jax.Array
+    fake: jax.Array
+    often: jax.Array
+
+
+def _mixed(
+    state: DQNState, key: Key, hparams: DQNHParams, config: DQNConfig
+) -> tuple[Window, Draws]:
     """A batch of windows, a share of them fake."""
     key_source, key_real, key_fake = jax.random.split(key, 3)
     shape = (config.batch,)
 
-    def drawn(memory: FrameReplay, key: Key) -> Window:
-        numbers = frame_replay.sample_numbers(memory, key, shape)
-        return take_window(memory, numbers, config.n_step, hparams.discount)
+    def drawn(held: Prioritized, key: Key) -> tuple[Window, jax.Array, jax.Array]:
+        numbers, often = prioritized.draw_numbers(held, key, shape)
+        window = take_window(held.memory, numbers, config.n_step, hparams.discount)
+        return window, numbers, often
 
-    real, fake = drawn(state.real, key_real), drawn(state.fake, key_fake)
+    real, real_numbers, real_often = drawn(state.real, key_real)
+    fake, fake_numbers, fake_often = drawn(state.fake, key_fake)
     share = jnp.where(state.fake.size > 0, hparams.fake_share, 0.0)
     share = jnp.where(state.real.size > 0, share, 1.0)
     is_fake = jax.random.uniform(key_source, shape) < share
-    return jax.tree.map(lambda new, old: jax.vmap(jnp.where)(is_fake, new, old), fake, real)
+    window = jax.tree.map(lambda new, old: jax.vmap(jnp.where)(is_fake, new, old), fake, real)
+    often = jnp.where(is_fake, fake_often, real_often)
+    return window, Draws(is_fake, real_numbers, fake_numbers, often)
 
 
 def _weighted(transitions: Transition) -> Transition:

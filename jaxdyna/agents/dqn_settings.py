@@ -24,19 +24,23 @@ class DQNHParams:
         epsilon_fake: share of exploratory actions in dreams.
         fake_share: share of each batch that is drawn from fake transitions, once there are any.
         target_rate: how far the target network moves towards the online one at a time.
+        priority_exponent: of a transition's TD error in how often it is drawn; 0 for uniform draws.
+        importance_exponent: how far the loss makes up for that: 0 not at all, 1 wholly.
         reward_scale: times every reward; it decides where Huber's loss turns linear.
     """
 
     learning_rate: float = 1e-3
-    discount: float = 0.97
+    discount: float = 0.95
     epsilon_first: float = 1.0
     epsilon_last: float = 0.0
     epsilon_hold: float = 0.0
     epsilon_episodes: float = 20.0
-    epsilon_fake: float = 0.1
-    fake_share: float = 0.75
+    epsilon_fake: float = 0.3
+    fake_share: float = 0.5
     target_rate: float = 0.005
-    reward_scale: float = 0.1
+    priority_exponent: float = 0.6
+    importance_exponent: float = 0.4
+    reward_scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ class DQNConfig:
 
     Attributes:
         network: a module from frames ``[N, H, W, C]`` in [0, 1] to values ``[N, actions]``; None
-            for `jaxdyna.networks.AttentionQ`.
+            for `jaxdyna.networks.GlimpseQ`.
         updates: gradient steps after each call of ``update``.
         fake_updates: likewise of ``update_fake``.
         batch: transitions a gradient step.
@@ -54,6 +58,8 @@ class DQNConfig:
         double: choose the next action by the online network instead of the target network.
         target_period: gradient steps between moves of the target network; with a ``target_rate``
             of 1 it is copied every so often, as by Mnih et al.
+        act_by_target: act by the target network. Under Polyak averaging that is a mean of the last
+            networks, which falls into the noise of single gradient steps less often.
         capacity: real transitions kept.
         episodes: real episodes kept.
         fake_capacity: fake transitions kept.
@@ -71,6 +77,7 @@ class DQNConfig:
     n_step: int = 1
     double: bool = True
     target_period: int = 1
+    act_by_target: bool = True
     capacity: int = 200_000
     episodes: int = 2_000
     fake_capacity: int = 20_000

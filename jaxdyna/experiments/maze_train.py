@@ -66,7 +66,7 @@ def make_dyna(parts: Parts) -> Dyna:
     def watch(real: Transition, begun: StackState, params: MazeParams) -> Metrics:
         return behaviour(parts.maze, parts.steps, real, begun, params)
 
-    kept = memory.frames(lambda rest: rest["reward"] != 0)
+    kept = memory.frames(lambda rest: jnp.stack([rest["reward"] < 0, rest["reward"] > 0]))
     return Dyna(env, agent, model, Dream(learned, learned_params), watch=watch, memory=kept)
 
 
@@ -139,5 +139,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         keys=jax.random.split(jax.random.key(options.seed), options.seeds),
         report=MazeReport(options),
         block=1,
+        piece=10,
     )
     return session.run({name: arms[name] for name in dict.fromkeys(options.arms)})

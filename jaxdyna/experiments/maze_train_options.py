@@ -55,7 +55,7 @@ class Options:
     """Gradient steps of the model after each real episode."""
     model_batch: int = 32
     """Transitions in each."""
-    model_widths: tuple[int, ...] = (32, 32, 32)
+    model_widths: tuple[int, ...] = (32, 32)
     """Channels of the model's 3x3 convolutions."""
     rare_share: float | None = 0.25
     """Share of each model batch drawn from transitions with a reward; None: as they come."""
@@ -133,11 +133,12 @@ LEAN = replace(
     preset="lean",
     episodes=150,
     real_first=15,
-    model_updates=150,
-    dream_episodes=320,
-    agent=DQNConfig(updates=100, fake_updates=400, fake_capacity=32_000),
+    model_updates=100,
+    dream_episodes=400,
+    dream_steps=5,
+    agent=DQNConfig(updates=100, fake_updates=400, fake_capacity=64_000),
     hparams=DynaHParams(
-        agent=DQNHParams(epsilon_hold=15.0, epsilon_episodes=15.0),
+        agent=DQNHParams(epsilon_hold=15.0, epsilon_episodes=5.0),
         model=PixelHParams(3e-3),
         env=MazeParams(),
     ),

@@ -12,9 +12,11 @@ import numpy as np
 from rich.console import Console
 
 from jaxdyna.envs import Maze, MazeParams, MazeState
+from jaxdyna.experiments import maze_train_tables as tables
 from jaxdyna.experiments import plots, plots_frames, report
+from jaxdyna.experiments.maze_train_cost import cost_of_parts, describe_cost
 from jaxdyna.experiments.maze_train_options import SHARE_OF_ORACLE, WINDOW, Options
-from jaxdyna.experiments.report import Results, interval, markdown_table
+from jaxdyna.experiments.report import Results, markdown_table
 from jaxdyna.experiments.run import Arm, ArmRun
 from jaxdyna.planners import solve_maze
 from jaxdyna.rollout import first_states, rollout
@@ -35,7 +37,9 @@ class MazeReport:
     options: Options
 
     def analyse(self, arm: Arm, run: ArmRun, key: jax.Array) -> Curves:
-        """The final greedy policies on new starts: ``greedy_...`` ``[seeds, starts]``."""
+        """The final greedy policies on new starts: ``greedy_...`` ``[seeds, starts]``; and
+        `cost_of_parts` of the first run.
+        """
         env, agent = arm.dyna.env, arm.dyna.agent
         params, steps = arm.hparams.env, self.options.steps
         greedy = replace(arm.hparams.agent, epsilon_first=0.0, epsilon_last=0.0)
@@ -55,15 +59,19 @@ class MazeReport:
                 "greedy_collisions": hit.sum(-1),
             }
 
+        key, key_cost = jax.random.split(key)
         keys = jax.random.split(key, len(jax.tree.leaves(policies)[0]))
         judged = jax.jit(lambda *args: jax.lax.map(lambda pair: judge(*pair), args))(policies, keys)
-        return jax.tree.map(np.asarray, judged)
+        first = jax.tree.map(lambda leaf: leaf[0], run.state)
+        updates = (self.options.agent.updates, self.options.agent.fake_updates)
+        return jax.tree.map(np.asarray, judged) | cost_of_parts(arm, updates, first, key_cost)
 
     def describe(self, curves: Curves) -> Results:
-        """The final greedy policy in numbers."""
+        """The final greedy policy in numbers, and what a real episode costs."""
         share = curves["greedy_return"].mean(1) / curves["greedy_oracle"].mean(1)
         hits = curves["greedy_collisions"].mean(1)
-        return {"greedy": {"share": _summary(share), "collisions": _summary(hits)}}
+        greedy = {"share": _summary(share), "collisions": _summary(hits)}
+        return {"greedy": greedy, "cost": describe_cost(curves)}
 
     def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
         """``fig8.png``, ``solved.png``, ``behaviour.png``, ``film_ARM.gif``."""
@@ -126,9 +134,10 @@ class MazeReport:
             "## The final policy",
             f"Greedy, on {STARTS} new starts a run: share of the oracle's return, and collisions "
             "an episode.",
-            markdown_table(*_greedy_table(results)),
-            "## Time",
-            markdown_table(*_time_table(results)),
+            markdown_table(*tables.greedy(results)),
+            "## Time and memory",
+            markdown_table(*tables.time(results)),
+            *tables.cost(results),
         ]  # fmt: skip
         return "\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
 
@@ -172,29 +181,6 @@ def replay_frames(
 
     as_int = (jnp.asarray(part, jnp.int32) for part in (obstacles, directions, actions))
     return np.asarray(jax.jit(play)(*as_int))
-
-
-def _greedy_table(results: Results) -> tuple[list[str], list[list[str]]]:
-    rows = []
-    for name, arm in results["arms"].items():
-        share, hits = arm["greedy"]["share"], arm["greedy"]["collisions"]
-        rows.append(
-            [
-                name,
-                f"{share['mean']:.3f} ({interval(share['ci95'], 3)})",
-                f"{hits['mean']:.2f} ({interval(hits['ci95'], 2)})",
-            ]
-        )
-    return ["arm", "share of the oracle's return", "collisions"], rows
-
-
-def _time_table(results: Results) -> tuple[list[str], list[list[str]]]:
-    rows = [
-        [name, f"{arm['compile_s']:.0f}", f"{arm['run_s']:.0f}"]
-        for name, arm in results["timing"]["arms"].items()
-    ]
-    cores = results["device"]["cpu_cores"]
-    return [f"arm ({cores} cores)", "compiling (s)", "running (s)"], rows
 
 
 def _summary(values: np.ndarray) -> Results:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import platform
+import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from types import ModuleType
 from typing import Any
 
 import jax
@@ -23,6 +25,12 @@ from jaxdyna.statistics import (
     steps_before,
     summarise,
 )
+
+resource: ModuleType | None
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
 
 Curves = Mapping[str, np.ndarray]
 Results = dict[str, Any]
@@ -143,8 +151,19 @@ def environment() -> Results:
             "kind": device.device_kind,
             "count": jax.device_count(),
             "cpu_cores": cores(),
+            "peak_memory_gib": peak_memory_gib(),
         },
     }
+
+
+def peak_memory_gib() -> float | None:
+    """The most of the machine's own memory that this process has taken so far, None where the
+    system does not say.
+    """
+    if resource is None:
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**30
 
 
 def number(summary: Summary, statistic: str = "mean", digits: int = 0) -> str:

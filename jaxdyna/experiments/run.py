@@ -20,6 +20,7 @@ from jaxdyna.statistics import SolveRule, episodes_to_solve
 from jaxdyna.sweep import AXES, make_pieces
 
 CHECKPOINT_SECONDS = 20.0
+CHECKPOINT_SHARE = 0.05
 PIECE_EPISODES = 50
 
 
@@ -58,6 +59,7 @@ class Runner:
             None plays all.
         directory: where checkpoints live; None keeps none.
         block: seeds vmapped together on a CPU, see `jaxdyna.sweep.sweep`.
+        piece: about as many episodes are played between two looks at the clock.
         report: called with ``(stage, done, total, solved)`` whenever one of them changes.
     """
 
@@ -66,6 +68,7 @@ class Runner:
     stop_after_solved: int | None = None
     directory: Path | None = None
     block: int | None = None
+    piece: int = PIECE_EPISODES
     report: Callable[[str, int, int, int], None] = lambda *_: None
     programs: dict[Any, tuple[Any, Any]] = field(default_factory=dict)
 
@@ -75,7 +78,8 @@ class Runner:
         Raises:
             KeyboardInterrupt: on Ctrl-C, after the piece in progress is done and saved.
         """
-        total, piece = arm.config.num_episodes, piece_length(arm.config.num_episodes)
+        total = arm.config.num_episodes
+        piece = piece_length(total, self.piece)
         checkpoints = Checkpoints(self.directory / name) if self.directory else None
         self.report("compiling", 0, total, 0)
         began = time.perf_counter()
@@ -84,7 +88,7 @@ class Runner:
         pieces: list[dict[str, np.ndarray]] = []
         if resume and checkpoints and checkpoints.exists():
             state, pieces, run_s = checkpoints.load(state)
-        saved = time.perf_counter()
+        saved, pause = time.perf_counter(), CHECKPOINT_SECONDS
         with deferred_interrupt() as interrupted:
             while not self._over(pieces, total):
                 done = _episodes(pieces)
@@ -94,10 +98,12 @@ class Runner:
                 state, metrics = proceed(state, episodes, arm.hparams)
                 pieces.append(jax.tree.map(lambda leaf: np.asarray(leaf[0]), metrics))
                 run_s += time.perf_counter() - began
-                due = time.perf_counter() - saved > CHECKPOINT_SECONDS
+                due = time.perf_counter() - saved > pause
                 if checkpoints and (due or interrupted):
+                    began = time.perf_counter()
                     checkpoints.save(_episodes(pieces), state, join(pieces), run_s)
                     saved = time.perf_counter()
+                    pause = max(CHECKPOINT_SECONDS, (saved - began) / CHECKPOINT_SHARE)
                 if interrupted:
                     raise KeyboardInterrupt
         self.report("done", _episodes(pieces), total, int(self._solved(pieces).sum()))
@@ -136,10 +142,12 @@ class Runner:
         return done >= last + self.stop_after_solved
 
 
-def piece_length(total: int) -> int:
-    """Episodes in a jitted piece: a divisor of ``total`` near 50, so that one program serves."""
-    divisors = [size for size in range(10, PIECE_EPISODES + 1) if total % size == 0]
-    return max(divisors, default=min(total, PIECE_EPISODES))
+def piece_length(total: int, about: int = PIECE_EPISODES) -> int:
+    """Episodes in a jitted piece: a divisor of ``total`` up to ``about`` and not far below it where
+    there is one, so that one program serves.
+    """
+    divisors = [size for size in range(max(about // 5, 1), about + 1) if total % size == 0]
+    return max(divisors, default=min(total, about))
 
 
 def join(pieces: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

@@ -23,7 +23,7 @@ from jaxdyna.experiments.report import (
     describe_arm,
     environment,
 )
-from jaxdyna.experiments.run import Arm, ArmRun, Runner
+from jaxdyna.experiments.run import PIECE_EPISODES, Arm, ArmRun, Runner
 from jaxdyna.experiments.storage import (
     MANY_SEEDS,
     plain,
@@ -73,6 +73,7 @@ class Session:
         keys: random keys ``[seeds]``.
         report: the experiment's own part of the report.
         block: see `jaxdyna.experiments.run.Runner`.
+        piece: see `jaxdyna.experiments.run.Runner`.
         slim_above: runs of an arm above which less is kept of each, see `storage.slim`.
     """
 
@@ -85,6 +86,7 @@ class Session:
     keys: jax.Array
     report: Report
     block: int | None = None
+    piece: int = PIECE_EPISODES
     slim_above: int = MANY_SEEDS
     console: Console = field(default_factory=lambda: Console(highlight=False))
 
@@ -130,6 +132,7 @@ class Session:
             self.options.stop_after_solved,
             self.out / "checkpoints",
             self.block,
+            self.piece,
         )
         totals = {name: arm.config.num_episodes for name, arm in arms.items()}
         with Bars(self.console, totals, finished=curves, runs=len(self.keys)) as bars:

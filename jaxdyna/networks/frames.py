@@ -1,60 +1,12 @@
-"""Flax Linen modules. The rest of the package sees only parameters and functions."""
+"""The next picture, the reward and the end from a stack of pictures and an action."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from jaxdyna.convolution import convolve
-
-
-class MLP(nn.Module):
-    """A multilayer perceptron; the last layer is linear.
-
-    Attributes:
-        features: width of each layer, the output's last.
-        activation: between the layers.
-        weight_variance: times the number of inputs, the variance of a weight at the start: 1 is
-            LeCun's, 1/3 the uniform one that PyTorch's layers (the authors' code) start from.
-            Smaller features keep plain SGD stable at larger learning rates.
-    """
-
-    features: tuple[int, ...]
-    activation: Callable[[jax.Array], jax.Array] = nn.relu
-    weight_variance: float = 1.0
-
-    @nn.compact
-    def __call__(self, x: jax.Array) -> jax.Array:
-        """Maps ``[..., in]`` to ``[..., features[-1]]``."""
-        initial = nn.initializers.variance_scaling(self.weight_variance, "fan_in", "uniform")
-        for width in self.features[:-1]:
-            x = self.activation(nn.Dense(width, kernel_init=initial)(x))
-        return nn.Dense(self.features[-1], kernel_init=initial)(x)
-
-
-class Convolution(nn.Module):
-    """A convolution of stride 1 with a bias, by `jaxdyna.convolution.convolve`.
-
-    Attributes:
-        features: channels of the output.
-        size: cells a side of the kernel.
-        padding: zeros around the picture; ``size - 1`` makes it a transposed convolution.
-    """
-
-    features: int
-    size: int
-    padding: int
-
-    @nn.compact
-    def __call__(self, x: jax.Array) -> jax.Array:
-        """Maps ``[N, H, W, C]`` to ``[N, H', W', features]``."""
-        shape = (self.size, self.size, x.shape[-1], self.features)
-        kernel = self.param("kernel", nn.initializers.he_normal(), shape)
-        bias = self.param("bias", nn.initializers.zeros, (self.features,))
-        return convolve(x, kernel, self.padding) + bias
+from jaxdyna.networks.layers import Convolution
 
 
 class LocalDynamics(nn.Module):
@@ -85,45 +37,6 @@ class LocalDynamics(nn.Module):
                 x = x * nn.Dense(width, bias_init=nn.initializers.ones)(action)[:, None, None]
             x = nn.relu(x)
         return nn.Dense(self.channels)(x), x
-
-
-class AttentionQ(nn.Module):
-    """Values of actions from a picture: convolutions, heads that each look at one place of it
-    (softmax over cells, Mott et al. 2019), a perceptron on what they see and where.
-
-    Attributes:
-        num_actions: how many values.
-        widths: of the 3x3 convolutions.
-        heads: places that are looked at.
-        hidden: widths of the perceptron's hidden layers.
-        sharpness: times the softmax's logits.
-    """
-
-    num_actions: int
-    widths: tuple[int, ...] = (16, 16, 32)
-    heads: int = 4
-    hidden: tuple[int, ...] = (128, 128)
-    sharpness: float = 3.0
-
-    @nn.compact
-    def __call__(self, stack: jax.Array) -> jax.Array:
-        """From ``[N, H, W, C]`` in [0, 1] to ``[N, actions]``, dueling (Wang et al. 2016)."""
-        count, height, width, _ = stack.shape
-        x = jnp.concatenate([stack, jnp.ones_like(stack[..., :1])], axis=-1)
-        for features in self.widths:
-            x = nn.relu(Convolution(features, 3, 1)(x))
-        looks = self.sharpness * nn.Dense(self.heads)(jnp.concatenate([stack, x], axis=-1))
-        looks = jax.nn.softmax(looks.reshape(count, -1, self.heads), axis=1)
-        rows, columns = jnp.linspace(-1, 1, height), jnp.linspace(-1, 1, width)
-        place = jnp.stack(jnp.meshgrid(rows, columns, indexing="ij"), axis=-1)
-        place = jnp.broadcast_to(place, (count, height, width, 2))
-        seen = jnp.concatenate([x, place], axis=-1).reshape(count, height * width, -1)
-        seen = jnp.einsum("nch,ncf->nhf", looks, seen).reshape(count, -1)
-        for features in self.hidden:
-            seen = nn.relu(nn.Dense(features)(seen))
-        values = nn.Dense(self.num_actions + 1)(seen)
-        mean, above = values[:, :1], values[:, 1:]
-        return mean + above - above.mean(-1, keepdims=True)
 
 
 class EncoderDecoder(nn.Module):

@@ -1,0 +1,84 @@
+"""Transitions drawn the more often, the more there is to learn from them (Schaul et al. 2016)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from jaxdyna import frame_replay
+from jaxdyna.frame_replay import FrameReplay
+from jaxdyna.replay import draw
+from jaxdyna.types import Key, Transition
+
+SMALLEST_ERROR = 1e-3
+
+
+@struct.dataclass
+class Prioritized:
+    """A replay of frames with priorities.
+
+    Attributes:
+        memory: the transitions.
+        priority: ``[capacity]``, what each position's probability is in proportion to; 0 where
+            there is nothing to draw.
+    """
+
+    memory: FrameReplay
+    priority: jax.Array
+
+    @property
+    def size(self) -> jax.Array:
+        """How many transitions can be drawn."""
+        return self.memory.size
+
+
+def init(memory: FrameReplay) -> Prioritized:
+    """An empty buffer with priorities."""
+    return Prioritized(memory, jnp.zeros(memory.capacity))
+
+
+def add(held: Prioritized, episodes: Transition) -> Prioritized:
+    """Adds whole episodes ``[N, T]`` at the highest priority that there is: all are seen soon."""
+    memory = frame_replay.add(held.memory, episodes)
+    numbers = memory.number(jnp.arange(memory.capacity))
+    highest = held.priority.max()
+    highest = jnp.where(highest > 0, highest, 1.0)
+    priority = jnp.where(numbers >= held.memory.added, highest, held.priority)
+    return Prioritized(memory, jnp.where(memory.held, priority, 0.0))
+
+
+def draw_numbers(
+    held: Prioritized, key: Key, shape: tuple[int, ...]
+) -> tuple[jax.Array, jax.Array]:
+    """Numbers of transitions drawn with replacement, and how often each is drawn compared with a
+    uniform draw, both ``[*shape]``.
+    """
+    position = draw(held.priority, key, shape)
+    mean = held.priority.sum() / jnp.maximum(held.size, 1)
+    often = held.priority[position] / jnp.where(mean > 0, mean, 1.0)
+    return held.memory.number(position), jnp.where(often > 0, often, 1.0)
+
+
+def reprioritise(
+    held: Prioritized,
+    numbers: jax.Array,
+    errors: jax.Array,
+    which: jax.Array,
+    exponent: jax.Array | float,
+) -> Prioritized:
+    """Priorities anew where ``which`` (bool) says so.
+
+    Args:
+        held: the buffer.
+        numbers: of transitions, ``[N]``.
+        errors: their TD errors, ``[N]``.
+        which: bool ``[N]``.
+        exponent: of the error; 0 draws uniformly.
+    """
+    capacity = held.memory.capacity
+    slot = jnp.where(which, numbers % capacity, capacity)  # out of bounds: dropped
+    priority = (jnp.abs(errors) + SMALLEST_ERROR) ** exponent
+    return replace(held, priority=held.priority.at[slot].set(priority, mode="drop"))

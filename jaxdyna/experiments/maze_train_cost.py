@@ -1,0 +1,128 @@
+"""Where the time of learning to act goes, beside what its operations would take at least."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdyna.dyna import DynaState, play_dreams, play_real, train_model
+from jaxdyna.experiments.run import Arm
+
+PARTS = ("real episode", "model updates", "dreams", "agent updates")
+REPEATS = 3
+MATRIX = 2048
+
+
+class Work(NamedTuple):
+    """Something that happens after every real episode.
+
+    Attributes:
+        part: which of `PARTS` it is.
+        steps: how often its loop goes round; XLA counts the operations in a loop once.
+        call: what is timed.
+        args: its arguments, arrays.
+    """
+
+    part: str
+    steps: int
+    call: Callable[..., Any]
+    args: tuple[Any, ...]
+
+
+def cost_of_parts(
+    arm: Arm, updates: tuple[int, int], state: DynaState, key: jax.Array
+) -> dict[str, np.ndarray]:
+    """What a real episode with its dreams costs a run that has the machine to itself.
+
+    Args:
+        arm: the arm.
+        updates: gradient steps of the agent after real and after fake episodes.
+        state: of one run.
+        key: random key.
+
+    Returns:
+        ``cost_seconds`` and ``cost_operations`` (floating-point ones, as XLA counts them before it
+        optimises), both ``[PARTS]``, 0 for what the arm does not do; ``cost_rate``, operations a
+        second of this machine in a large matrix product.
+    """
+    seconds, operations = np.zeros(len(PARTS)), np.zeros(len(PARTS))
+    for work in _works(arm, updates, state, key):
+        number, call = PARTS.index(work.part), jax.jit(work.call)
+        lowered = call.lower(*work.args)
+        operations[number] += work.steps * (lowered.cost_analysis() or {}).get("flops", 0.0)
+        seconds[number] += _seconds(lowered.compile(), *work.args)
+    rate = np.asarray(matrix_rate())
+    return {"cost_seconds": seconds, "cost_operations": operations, "cost_rate": rate}
+
+
+def _works(arm: Arm, updates: tuple[int, int], state: DynaState, key: jax.Array) -> list[Work]:
+    dyna, config, hparams = arm
+    world, learn_dreams = dyna.dream, dyna.agent.update_fake or dyna.agent.update
+    keys = jax.random.split(key, 7)
+
+    def real_episode(agent: Any, key: jax.Array) -> Any:
+        return play_real(dyna, config, agent, key, hparams)
+
+    def learn(agent: Any, real: Any, key: jax.Array) -> Any:
+        return dyna.agent.update(agent, real, key, hparams.agent)[0]
+
+    def train(state: DynaState, key_sample: jax.Array, key_update: jax.Array) -> Any:
+        return train_model(dyna, config, state, key_sample, key_update, hparams)
+
+    def dream(state: DynaState, key: jax.Array) -> Any:
+        assert world is not None
+        env_params = world.params(state, hparams)
+        return play_dreams(dyna, config, state.agent, env_params, key, hparams)
+
+    def learn_fake(agent: Any, fake: Any, key: jax.Array) -> Any:
+        return learn_dreams(agent, fake, key, hparams.agent)[0]
+
+    real = jax.jit(real_episode)(state.agent, keys[0])
+    works = [
+        Work("real episode", config.num_steps, real_episode, (state.agent, keys[1])),
+        Work("agent updates", updates[0], learn, (state.agent, real, keys[2])),
+    ]
+    if dyna.model is not None:
+        works.append(Work("model updates", config.model_updates, train, (state, *keys[3:5])))
+    if world is not None:
+        steps = config.dream_steps or config.num_steps
+        fake = jax.jit(dream)(state, keys[5])
+        learning = Work("agent updates", updates[1], learn_fake, (state.agent, fake, keys[6]))
+        dreaming = Work("dreams", steps, dream, (state, jax.random.clone(keys[5])))
+        works += config.dream_updates * [dreaming, learning]
+    return works
+
+
+def describe_cost(curves: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """`cost_of_parts` as entries of ``results.json``, per real episode of one run: ``seconds`` and
+    ``floor_seconds`` (operations over the rate of a matrix product) by part.
+    """
+    floors = curves["cost_operations"] / curves["cost_rate"]
+    return {
+        "seconds": dict(zip(PARTS, curves["cost_seconds"].tolist(), strict=True)),
+        "floor_seconds": dict(zip(PARTS, floors.tolist(), strict=True)),
+        "matrix_product_gflops": float(curves["cost_rate"]) / 1e9,
+    }
+
+
+def matrix_rate() -> float:
+    """Floating-point operations a second of this machine in a large matrix product."""
+    square = jnp.ones((MATRIX, MATRIX))
+    product = jax.jit(jnp.matmul).lower(square, square).compile()
+    return 2 * MATRIX**3 / _seconds(product, square, square)
+
+
+def _seconds(call: Callable[..., Any], *args: Any) -> float:
+    """The quickest of a few calls, after one to warm up."""
+    jax.block_until_ready(call(*args))
+    taken = []
+    for _ in range(REPEATS):
+        began = time.perf_counter()
+        jax.block_until_ready(call(*args))
+        taken.append(time.perf_counter() - began)
+    return min(taken)

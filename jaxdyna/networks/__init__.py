@@ -1,0 +1,23 @@
+"""Flax Linen modules. The rest of the package sees only parameters and functions."""
+
+from jaxdyna.networks.frames import (
+    EncoderDecoder,
+    FrameModel,
+    JointReward,
+    LocalDynamics,
+    LocalReward,
+)
+from jaxdyna.networks.layers import MLP, Convolution
+from jaxdyna.networks.values import GlimpseQ, glimpses
+
+__all__ = [
+    "MLP",
+    "Convolution",
+    "EncoderDecoder",
+    "FrameModel",
+    "GlimpseQ",
+    "JointReward",
+    "LocalDynamics",
+    "LocalReward",
+    "glimpses",
+]

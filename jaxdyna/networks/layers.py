@@ -1,0 +1,56 @@
+"""What networks are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+from flax import linen as nn
+
+from jaxdyna.convolution import convolve
+
+
+class MLP(nn.Module):
+    """A multilayer perceptron; the last layer is linear.
+
+    Attributes:
+        features: width of each layer, the output's last.
+        activation: between the layers.
+        weight_variance: times the number of inputs, the variance of a weight at the start: 1 is
+            LeCun's, 1/3 the uniform one that PyTorch's layers (the authors' code) start from.
+            Smaller features keep plain SGD stable at larger learning rates.
+    """
+
+    features: tuple[int, ...]
+    activation: Callable[[jax.Array], jax.Array] = nn.relu
+    weight_variance: float = 1.0
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """Maps ``[..., in]`` to ``[..., features[-1]]``."""
+        initial = nn.initializers.variance_scaling(self.weight_variance, "fan_in", "uniform")
+        for width in self.features[:-1]:
+            x = self.activation(nn.Dense(width, kernel_init=initial)(x))
+        return nn.Dense(self.features[-1], kernel_init=initial)(x)
+
+
+class Convolution(nn.Module):
+    """A convolution of stride 1 with a bias, by `jaxdyna.convolution.convolve`.
+
+    Attributes:
+        features: channels of the output.
+        size: cells a side of the kernel.
+        padding: zeros around the picture; ``size - 1`` makes it a transposed convolution.
+    """
+
+    features: int
+    size: int
+    padding: int
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """Maps ``[N, H, W, C]`` to ``[N, H', W', features]``."""
+        shape = (self.size, self.size, x.shape[-1], self.features)
+        kernel = self.param("kernel", nn.initializers.he_normal(), shape)
+        bias = self.param("bias", nn.initializers.zeros, (self.features,))
+        return convolve(x, kernel, self.padding) + bias

@@ -1,0 +1,77 @@
+"""Values of actions from pictures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+
+
+class GlimpseQ(nn.Module):
+    """Values of actions from a picture: heads that each look for one thing, and a perceptron on
+    where that is and on a glimpse of what is around it. A head's map is a mixture of the stack's
+    channels; the mean place on it is a feature point (Finn et al. 2016), and a glimpse is read
+    there by rows, then by columns (Gregor et al. 2015): small matrix products, a tenth of the
+    operations of convolutions over the whole picture.
+
+    Attributes:
+        num_actions: how many values.
+        heads: things that are looked for; at first each one of the newest frame's colours.
+        size: cells a side of a glimpse, odd.
+        hidden: widths of the perceptron's hidden layers.
+    """
+
+    num_actions: int
+    heads: int = 3
+    size: int = 5
+    hidden: tuple[int, ...] = (128, 128)
+
+    @nn.compact
+    def __call__(self, stack: jax.Array) -> jax.Array:
+        """From ``[N, H, W, C]`` in [0, 1] to ``[N, actions]``, dueling (Wang et al. 2016)."""
+        count, height, width, _ = stack.shape
+        maps = nn.relu(nn.Dense(self.heads, use_bias=False, kernel_init=_newest_colours)(stack))
+        looks = maps / (maps.sum((1, 2), keepdims=True) + 1e-6)
+        by_row, by_column = looks.sum(2), looks.sum(1)
+        rows, columns = jnp.linspace(-1, 1, height), jnp.linspace(-1, 1, width)
+        place = jnp.concatenate([rows @ by_row, columns @ by_column], axis=-1)
+        x = jnp.concatenate([stack, jnp.ones_like(stack[..., :1])], axis=-1)
+        seen = glimpses(x, by_row, by_column, self.size).reshape(count, -1)
+        seen = jnp.concatenate([seen, place], axis=-1)
+        for features in self.hidden:
+            seen = nn.relu(nn.Dense(features)(seen))
+        values = nn.Dense(self.num_actions + 1)(seen)
+        mean, above = values[:, :1], values[:, 1:]
+        return mean + above - above.mean(-1, keepdims=True)
+
+
+def glimpses(x: jax.Array, by_row: jax.Array, by_column: jax.Array, size: int) -> jax.Array:
+    """What is around a place, zero beyond the edge: the mean over places where it is uncertain.
+
+    Args:
+        x: pictures ``[N, H, W, C]``.
+        by_row: how likely each row is the place's, ``[N, H, heads]``.
+        by_column: likewise of columns, ``[N, W, heads]``.
+        size: cells a side, odd.
+
+    Returns:
+        ``[N, heads, size, size, C]``, the place in the middle.
+    """
+    reach = size // 2
+    padded = jnp.pad(x, ((0, 0), (reach, reach), (reach, reach), (0, 0)))
+
+    def shifted(share: jax.Array) -> jax.Array:
+        places = [jnp.pad(share, ((0, 0), (i, size - 1 - i), (0, 0))) for i in range(size)]
+        return jnp.stack(places)
+
+    strips = jnp.einsum("inrh,nrcf->nhicf", shifted(by_row), padded)
+    return jnp.einsum("jnch,nhicf->nhijf", shifted(by_column), strips)
+
+
+def _newest_colours(key: jax.Array, shape: tuple[int, int], dtype: Any = jnp.float32) -> jax.Array:
+    """Head ``i`` begins at channel ``i`` from behind, a little of everything else besides."""
+    channels, heads = shape
+    own = jax.nn.one_hot(channels - 1 - jnp.arange(heads) % channels, channels, dtype=dtype).T
+    return own + 0.01 * jax.random.normal(key, shape, dtype)

@@ -1,0 +1,99 @@
+"""Prioritised draws, and the glimpses that values are read from."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxdyna import frame_replay
+from jaxdyna.agents import prioritized
+from jaxdyna.networks import GlimpseQ, glimpses
+from jaxdyna.types import Transition
+
+FRAME = (3, 3, 2)
+
+
+def episodes(count, steps, reward=0.0):
+    shape = (count, steps)
+    frames = jnp.zeros((*shape, 3, 3, 8), jnp.uint8)
+    numbers, flags = jnp.full(shape, reward), jnp.zeros(shape, bool)
+    return Transition(
+        frames, jnp.zeros(shape, jnp.int32), numbers, frames, flags, flags, numbers + 1
+    )
+
+
+def empty(capacity=20):
+    example = jax.tree.map(lambda leaf: leaf[0, 0], episodes(1, 1))
+    return prioritized.init(frame_replay.init(capacity, 10, example))
+
+
+def frequencies(held, count=20_000):
+    numbers, often = prioritized.draw_numbers(held, jax.random.key(0), (count,))
+    slots = np.asarray(numbers) % held.memory.capacity
+    return np.bincount(slots, minlength=held.memory.capacity) / count, slots, np.asarray(often)
+
+
+def test_draws_are_in_proportion_and_say_how_often():
+    held = prioritized.add(empty(), episodes(2, 4))
+    shares, _, often = frequencies(held)
+    np.testing.assert_allclose(shares[:8], 1 / 8, atol=0.01)
+    np.testing.assert_allclose(often, 1)
+    errors, numbers = jnp.array([3.0, -1.0, 0.0]), jnp.array([0, 1, 2])
+    held = prioritized.reprioritise(held, numbers, errors, jnp.array([True, True, False]), 1.0)
+    shares, slots, often = frequencies(held)
+    total = 3.001 + 1.001 + 6
+    np.testing.assert_allclose(shares[:3], np.array([3.001, 1.001, 1]) / total, atol=0.01)
+    np.testing.assert_allclose(often[slots == 0], 3.001 * 8 / total, rtol=1e-5)
+    values = np.arange(20.0)
+    assert (values[slots] / often).mean() == pytest.approx(values[:8].mean(), abs=0.1)
+
+
+def test_what_is_new_comes_first_and_what_is_gone_never():
+    held = prioritized.add(empty(), episodes(2, 6))
+    some = jnp.arange(12)
+    held = prioritized.reprioritise(held, some, 0.1 * some, some > 0, 1.0)
+    held = prioritized.add(held, episodes(1, 6))
+    highest = held.priority.max()
+    assert highest == pytest.approx(1.101) and (held.priority[12:18] == highest).all()
+    assert (held.priority[18:] == 0).all()
+    held = prioritized.add(held, episodes(1, 6))  # 24 in a buffer of 20: four are overwritten
+    assert (held.priority > 0).sum() == held.size < 20
+    _, slots, _ = frequencies(held)
+    assert set(slots) == set(np.flatnonzero(np.asarray(held.memory.held)))
+
+
+def test_an_exponent_of_zero_draws_uniformly():
+    held = prioritized.add(empty(), episodes(2, 4))
+    some = jnp.arange(8)
+    held = prioritized.reprioritise(held, some, 10.0 * some, some >= 0, 0.0)
+    np.testing.assert_allclose(held.priority[:8], 1)
+
+
+def test_a_glimpse_is_what_is_around_a_place():
+    picture = jax.random.uniform(jax.random.key(0), (2, 6, 7, 3))
+    rows = jax.nn.one_hot(jnp.array([[2, 0], [5, 3]]), 6).transpose(0, 2, 1)
+    columns = jax.nn.one_hot(jnp.array([[3, 0], [6, 1]]), 7).transpose(0, 2, 1)
+    seen = glimpses(picture, rows, columns, 3)
+    np.testing.assert_allclose(seen[0, 0], picture[0, 1:4, 2:5], rtol=1e-6)
+    np.testing.assert_allclose(seen[0, 1, 1:, 1:], picture[0, :2, :2], rtol=1e-6)
+    assert (seen[0, 1, 0] == 0).all() and (seen[0, 1, :, 0] == 0).all()
+    np.testing.assert_allclose(seen[1, 0, :2, :2], picture[1, 4:, 5:], rtol=1e-6)
+    halfway = glimpses(picture, rows.mean(2, keepdims=True), columns[..., :1], 3)
+    both = glimpses(picture, rows, columns[..., :1].repeat(2, -1), 3).mean(1, keepdims=True)
+    np.testing.assert_allclose(halfway, both, rtol=1e-5)
+
+
+def test_values_follow_what_is_looked_for():
+    """What is out of every glimpse's sight, and moves no place, changes nothing."""
+    network = GlimpseQ(5, size=3)
+    stack = jnp.zeros((1, 9, 9, 6)).at[0, 4, 4, 3:].set(1.0)
+    params = network.init(jax.random.key(0), stack)
+    before = network.apply(params, stack)
+    assert before.shape == (1, 5) and np.isfinite(before).all()
+    kernel = params["params"]["Dense_0"]["kernel"].at[:3].set(0.0)  # deaf to the older frame
+    params["params"]["Dense_0"]["kernel"] = kernel
+    before = network.apply(params, stack)
+    far = network.apply(params, stack.at[0, 0, 0, 0].set(1.0))
+    near = network.apply(params, stack.at[0, 3, 4, 0].set(1.0))
+    np.testing.assert_array_equal(before, far)
+    assert (jnp.abs(before - near) > 1e-6).any()
