@@ -9,8 +9,10 @@ from typing import Any, Literal
 from jaxdyna.agents import DQNConfig, DQNHParams
 from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs import Maze, MazeParams
+from jaxdyna.envs.maze import MOVES
 from jaxdyna.experiments import cli
 from jaxdyna.models import PixelHParams
+from jaxdyna.networks import ConvolutionalQ, GlimpseQ
 from jaxdyna.statistics import SolveRule
 
 ArmName = Literal["model_free", "dyna", "placebo", "oracle"]
@@ -51,6 +53,13 @@ class Options:
     """Steps of a real episode."""
     real_first: int = 50
     """N of the paper: real episodes before the first dream."""
+    network: Literal["convolutions", "glimpse"] = "convolutions"
+    """Of all arms' agents. convolutions: three and a dense layer. glimpse: what is around the
+    things that it learns to look for."""
+    convolutions: tuple[int, int, int] = (16, 16, 16)
+    """Their channels."""
+    dense: int = 128
+    """Width of the dense layer after them."""
     model_updates: int = 50
     """Gradient steps of the model after each real episode."""
     model_batch: int = 32
@@ -87,8 +96,11 @@ class Options:
                 raise ValueError(f"{flag} must lie between 0 and 1")
         if self.dream_steps > self.steps:
             raise ValueError("--dream-steps is more than --steps: a dream is no longer than that")
-        if min(self.model_widths, default=0) < 1:
-            raise ValueError("--model-widths: give numbers of at least 1")
+        for name in ("model_widths", "convolutions"):
+            if min(getattr(self, name), default=0) < 1:
+                raise ValueError(f"--{name.replace('_', '-')}: give numbers of at least 1")
+        if self.dense < 1:
+            raise ValueError("--dense must be at least 1")
         Maze(self.size, self.obstacles)
         dyna_config(self)
 
@@ -118,8 +130,13 @@ def agent_config(options: Options) -> DQNConfig:
     real = options.episodes * options.steps
     fake = options.dream_updates * options.dream_episodes * options.dream_steps
     agent = options.agent
+    networks = {
+        "convolutions": ConvolutionalQ(len(MOVES), options.convolutions, options.dense),
+        "glimpse": GlimpseQ(len(MOVES)),
+    }
     return replace(
         agent,
+        network=networks[options.network],
         capacity=max(min(agent.capacity, real), options.steps),
         episodes=min(agent.episodes, options.episodes),
         fake_capacity=max(agent.fake_capacity, fake),
@@ -131,6 +148,7 @@ PAPER = Options()
 LEAN = replace(
     PAPER,
     preset="lean",
+    network="glimpse",
     episodes=150,
     real_first=15,
     model_updates=100,

@@ -135,6 +135,8 @@ class MazeReport:
             f"Greedy, on {STARTS} new starts a run: share of the oracle's return, and collisions "
             "an episode.",
             markdown_table(*tables.greedy(results)),
+            "## How",
+            tables.method(self.options),
             "## Time and memory",
             markdown_table(*tables.time(results)),
             *tables.cost(results),

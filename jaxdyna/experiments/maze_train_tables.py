@@ -3,9 +3,49 @@
 from __future__ import annotations
 
 from jaxdyna.experiments.maze_train_cost import PARTS
+from jaxdyna.experiments.maze_train_options import Options
 from jaxdyna.experiments.report import Results, interval, markdown_table
 
 Table = tuple[list[str], list[list[str]]]
+
+
+def method(options: Options) -> str:
+    """What the arms do, as a list."""
+    agent, hparams = options.agent, options.hparams.agent
+    rare = (
+        "as they come"
+        if options.rare_share is None
+        else (f"collisions and goal steps at least {options.rare_share / 2:g} of them each")
+    )
+    network = {
+        "convolutions": f"convolutions of {options.convolutions} channels and a dense layer of "
+        f"{options.dense}",
+        "glimpse": "glimpses of what is around the things that it learns to look for",
+    }[options.network]
+    return "\n".join(
+        [
+            f"- Maze: {options.size}x{options.size} cells, {options.obstacles} obstacles, "
+            f"{options.steps} steps; a collision {options.hparams.env.collision_reward:+g}, a step "
+            f"on the goal {options.hparams.env.goal_reward:+g}.",
+            f"- Agent, in all arms: {'Double ' if agent.double else ''}DQN on four stacked frames, "
+            f"{network}; {agent.n_step}-step targets, discount {hparams.discount:g}, Adam at "
+            f"{hparams.learning_rate:g}, batches of {agent.batch}, prioritised to the power of "
+            f"{hparams.priority_exponent:g}, a target network that follows by "
+            f"{hparams.target_rate:g}{' and acts' if agent.act_by_target else ''}. "
+            f"{agent.updates} updates after a real episode.",
+            f"- Exploration, in all arms: a share {hparams.epsilon_first:g} of random actions for "
+            f"{hparams.epsilon_hold:g} episodes, which falls to {hparams.epsilon_last:g} in "
+            f"{hparams.epsilon_episodes:g} more; what is random leans to directions that are drawn "
+            f"for each episode (log odds of {agent.drift:g} standard deviation(s)).",
+            f"- Model: 3x3 convolutions of {options.model_widths} channels; after every real "
+            f"episode {options.model_updates} updates on batches of {options.model_batch}, {rare}.",
+            f"- Dreams: from real episode {options.real_first} on, after each, "
+            f"{options.dream_updates} x {options.dream_episodes} of {options.dream_steps} steps, "
+            "each from any real stack of frames, a share "
+            f"{hparams.epsilon_fake:g} of their actions random; then {agent.fake_updates} updates, "
+            f"a share {hparams.fake_share:g} of each batch dreamed.",
+        ]
+    )
 
 
 def greedy(results: Results) -> Table:

@@ -8,11 +8,12 @@ from jaxdyna.networks.frames import (
     LocalReward,
 )
 from jaxdyna.networks.layers import MLP, Convolution
-from jaxdyna.networks.values import GlimpseQ, glimpses
+from jaxdyna.networks.values import ConvolutionalQ, GlimpseQ, glimpses
 
 __all__ = [
     "MLP",
     "Convolution",
+    "ConvolutionalQ",
     "EncoderDecoder",
     "FrameModel",
     "GlimpseQ",

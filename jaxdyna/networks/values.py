@@ -8,6 +8,37 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
+from jaxdyna.networks.layers import Convolution
+
+
+class ConvolutionalQ(nn.Module):
+    """Values of actions from a picture by three convolutions and a dense layer (Mnih et al. 2015).
+    Cells are first folded two by two into channels: a first convolution of 6x6 cells at a stride
+    of 2.
+
+    Attributes:
+        num_actions: how many values.
+        widths: of the 3x3 convolutions.
+        dense: width of the dense layer.
+    """
+
+    num_actions: int
+    widths: tuple[int, int, int] = (16, 16, 16)
+    dense: int = 128
+
+    @nn.compact
+    def __call__(self, stack: jax.Array) -> jax.Array:
+        """From ``[N, H, W, C]`` in [0, 1] to ``[N, actions]``, dueling (Wang et al. 2016)."""
+        count, height, width, channels = stack.shape
+        even = jnp.pad(stack, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)))
+        height, width = even.shape[1] // 2, even.shape[2] // 2
+        x = even.reshape(count, height, 2, width, 2, channels).transpose(0, 1, 3, 2, 4, 5)
+        x = x.reshape(count, height, width, 4 * channels)
+        for features in self.widths:
+            x = nn.relu(Convolution(features, 3, 1)(x))
+        x = nn.relu(nn.Dense(self.dense)(x.reshape(count, -1)))
+        return _dueling(nn.Dense(self.num_actions + 1)(x))
+
 
 class GlimpseQ(nn.Module):
     """Values of actions from a picture: heads that each look for one thing, and a perceptron on
@@ -42,9 +73,7 @@ class GlimpseQ(nn.Module):
         seen = jnp.concatenate([seen, place], axis=-1)
         for features in self.hidden:
             seen = nn.relu(nn.Dense(features)(seen))
-        values = nn.Dense(self.num_actions + 1)(seen)
-        mean, above = values[:, :1], values[:, 1:]
-        return mean + above - above.mean(-1, keepdims=True)
+        return _dueling(nn.Dense(self.num_actions + 1)(seen))
 
 
 def glimpses(x: jax.Array, by_row: jax.Array, by_column: jax.Array, size: int) -> jax.Array:
@@ -68,6 +97,12 @@ def glimpses(x: jax.Array, by_row: jax.Array, by_column: jax.Array, size: int) -
 
     strips = jnp.einsum("inrh,nrcf->nhicf", shifted(by_row), padded)
     return jnp.einsum("jnch,nhicf->nhijf", shifted(by_column), strips)
+
+
+def _dueling(values: jax.Array) -> jax.Array:
+    """Values of actions from their mean and what each is above it, ``[N, 1 + actions]``."""
+    mean, above = values[:, :1], values[:, 1:]
+    return mean + above - above.mean(-1, keepdims=True)
 
 
 def _newest_colours(key: jax.Array, shape: tuple[int, int], dtype: Any = jnp.float32) -> jax.Array:
