@@ -35,6 +35,8 @@ class Training:
     """Of AdamW (Loshchilov and Hutter 2019); 0 is Adam."""
     rare_share: float | None = 0.25
     """Share of each batch drawn from transitions whose reward is not 0; None: as they come."""
+    reward_weight: float = 1.0
+    """Weight of the reward's squared error beside the frame's loss."""
 
     def __post_init__(self) -> None:
         if self.updates < 1 or self.batch < 1:
@@ -43,6 +45,8 @@ class Training:
             raise ValueError(f"the learning rate is {self.learning_rate}: it must be above 0")
         if not 0 <= self.weight_decay < float("inf"):
             raise ValueError(f"weight_decay is {self.weight_decay}: it must be 0 or more")
+        if not 0 <= self.reward_weight < float("inf"):
+            raise ValueError(f"reward_weight is {self.reward_weight}: it must be 0 or more")
         if self.rare_share is not None and not 0 <= self.rare_share <= 1:
             raise ValueError(f"rare_share is {self.rare_share}: it must lie in [0, 1], or be None")
 
@@ -101,7 +105,7 @@ class Options:
     """New episodes that models are judged on."""
     horizon: int = 50
     """Steps of an open-loop dream."""
-    paper: Training = field(default_factory=lambda: Training(6000, 32, 3e-3, 0.2, None))
+    paper: Training = field(default_factory=lambda: Training(6000, 32, 3e-3, 0.2, None, 0.05))
     """Training of the paper's model."""
     lean: Training = field(default_factory=Training)
     """Training of ours."""
@@ -160,7 +164,7 @@ _FEW: dict[str, Any] = {
     "widths": (8, 8, 8),
     "dense": 128,
     "lean_widths": (32, 32),
-    "paper": Training(300, 32, 3e-3, 0.2, None),
+    "paper": Training(300, 32, 3e-3, 0.2, None, 0.05),
     "lean": Training(500, 32, 1e-2),
 }
 QUICK = {
@@ -181,6 +185,7 @@ def config_of(options: Options, arm: str) -> PixelConfig:
     loss = {"l1": l1, "l2": l2}.get(arm.partition("_")[2], bce)
     training = training_of(options, arm)
     optimizer = cosine_adam(training.updates, training.weight_decay)
+    weight = training.reward_weight
     own = "joint" if arm.startswith("paper") else "local"
     head = {"joint": JointReward(), "local": LocalReward(), "none": None}[
         own if options.reward == "own" else options.reward
@@ -188,9 +193,9 @@ def config_of(options: Options, arm: str) -> PixelConfig:
     if arm.startswith("paper"):
         coder = EncoderDecoder(3, tuple(options.widths), tuple(options.kernels), options.dense)
         threshold = 0.2 if loss is bce else 0.5
-        return PixelConfig(coder, loss, threshold, head, optimizer=optimizer)
+        return PixelConfig(coder, loss, threshold, head, weight, optimizer=optimizer)
     local = LocalDynamics(3, tuple(options.lean_widths))
-    return PixelConfig(local, loss, 0.5, head, optimizer=optimizer)
+    return PixelConfig(local, loss, 0.5, head, weight, optimizer=optimizer)
 
 
 @cache
