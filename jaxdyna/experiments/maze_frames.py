@@ -81,7 +81,8 @@ def _play(record: Record, console: Console) -> None:
     stages = {arm: options.stages_of(arm) for arm in dict.fromkeys(options.arms)}
     left = [arm for arm in stages if not all(f"{arm}@{stage}" in curves for stage in stages[arm])]
     totals: dict[str, int] = {
-        arm: len(played) * training_of(options, arm).updates for arm, played in stages.items()
+        arm: sum(map(training_of(options, arm).updates_at, played))
+        for arm, played in stages.items()
     }
     done = [arm for arm in stages if arm not in left]
     with (
@@ -107,7 +108,7 @@ class Trainee:
 
     def __init__(self, record: Record, arm: str, bars: Bars, interrupted: list[int]):
         self.record, self.arm, self.bars, self.interrupted = record, arm, bars, interrupted
-        self.updates = training_of(record.options, arm).updates
+        self.updates_at = training_of(record.options, arm).updates_at
         self.checkpoints = Checkpoints(record.out / "checkpoints" / arm)
         nothing: Timing = {"compile_s": 0.0, "run_s": 0.0, "stages": {}}
         self.spent = record.timing.setdefault(arm, nothing)
@@ -124,16 +125,16 @@ class Trainee:
         Raises:
             KeyboardInterrupt: after Ctrl-C, once the piece in progress is done and saved.
         """
-        name, before = f"{self.arm}@{stage}", self.record.options.stages_of(self.arm).index(stage)
-        before *= self.updates
+        name = f"{self.arm}@{stage}"
         if name in self.record.curves:
             return
+        before, whole = self._before(stage), self.updates_at(stage)
         self.bars.advance(self.arm, before, f"{stage} episodes, compiling")
         run, done = self._begin(stage)
-        while done < self.updates:
+        while done < whole:
             self.bars.advance(self.arm, before + done, f"{stage} episodes")
-            began, updates = time.perf_counter(), min(PIECE_UPDATES, self.updates - done)
-            run, losses = self._train(run, (stage, updates), NOTHING_SWEPT)
+            began, updates = time.perf_counter(), min(PIECE_UPDATES, whole - done)
+            run, losses = self._train(run, (stage, updates, whole), NOTHING_SWEPT)
             jax.block_until_ready(losses)
             done += updates
             seconds, taken = self.spent["stages"], self._count("run_s", began)
@@ -149,6 +150,11 @@ class Trainee:
         self.record.write()
         self.bars.advance(self.arm, before + done, "")
 
+    def _before(self, stage: int) -> int:
+        """Updates in the stages before this one."""
+        played = self.record.options.stages_of(self.arm)
+        return sum(map(self.updates_at, played[: played.index(stage)]))
+
     def _begin(self, stage: int) -> tuple[Run, int]:
         """The runs before this stage or at its checkpoint, and updates done; all is compiled."""
         began = time.perf_counter()
@@ -157,7 +163,7 @@ class Trainee:
             kept, [counts], _ = self.checkpoints.load(run._replace(data=None))
             if counts["stage"] == stage:
                 run, done = kept._replace(data=run.data), int(counts["done"])
-        run, _ = self._train(run, (stage, 0), NOTHING_SWEPT)
+        run, _ = self._train(run, (stage, 0, 1), NOTHING_SWEPT)
         jax.block_until_ready(run.done)
         self._count("compile_s", began)
         return run, done
@@ -167,8 +173,9 @@ class Trainee:
         if not (self.interrupted or time.perf_counter() - self.saved > CHECKPOINT_SECONDS):
             return
         counts = {"stage": np.array(stage), "done": np.array(done)}
-        number = stage * self.updates + done
-        self.checkpoints.save(number, run._replace(data=None), counts, self.spent["run_s"])
+        self.checkpoints.save(
+            self._before(stage) + done, run._replace(data=None), counts, self.spent["run_s"]
+        )
         self.saved = time.perf_counter()
         if self.interrupted:
             self.record.write()

@@ -84,12 +84,12 @@ def first_episodes(held: FrameReplay, episodes: Any, steps: int) -> FrameReplay:
 
 class Study(NamedTuple):
     """An arm's training at a stage, for `jaxdyna.sweep.make_pieces`. The stage, a number of
-    episodes, and the number of updates are traced: all stages are one program.
+    episodes, and numbers of updates are traced: all stages are one program.
 
     Attributes:
         init: ``(key, hparams) -> run``: before its first update.
-        train: ``(run, (stage, updates), hparams) -> (run, losses)``: so many more updates on the
-            first ``stage`` episodes.
+        train: ``(run, (stage, updates, total), hparams) -> (run, losses)``: so many more of the
+            stage's ``total`` of updates, on the first ``stage`` episodes.
         judge: ``(run, stage, hparams) -> (run, judgement)``.
     """
 
@@ -111,11 +111,11 @@ def make_study(options: Options, arm: str) -> Study:
         return Run(data, key, model.init(key_init, hparams), jnp.int32(0))
 
     def train(run: Run, work: Any, _: Any) -> tuple[Run, Judgement]:
-        stage, updates = work
+        stage, updates, total = work
         key, _ = jax.random.split(jax.random.clone(run.key))
         held = first_episodes(run.data, stage, options.steps)
         span = (run.done, run.done + updates)
-        state, loss = _train(model, training, hparams, held, run.state, key, span)
+        state, loss = _train(model, training, held, run.state, key, (*span, total))
         return run._replace(state=state, done=span[1]), {"frame_loss": loss}
 
     def judged(run: Run, stage: Any, _: Any) -> tuple[Run, Judgement]:
@@ -136,15 +136,15 @@ def make_model(options: Options, config: PixelConfig) -> DynamicsModel:
 def _train(
     model: DynamicsModel,
     training: Training,
-    hparams: PixelHParams,
     held: FrameReplay,
     state: Any,
     key: Key,
-    span: tuple[jax.Array, jax.Array],
+    span: tuple[jax.Array, jax.Array, jax.Array],
 ) -> tuple[Any, jax.Array]:
-    """The updates with these (traced) numbers, the last left out; returns the model's state and
-    their mean loss.
+    """The updates from a number up to another, that one left out, of so many in all (traced);
+    returns the model's state and their mean loss.
     """
+    first, end, whole = span
     weight = None
     if training.rare_share is not None:
         weight = share_weight(held.held, held.rest["reward"] != 0, training.rare_share)
@@ -153,11 +153,13 @@ def _train(
         state, total = carry
         key_sample, key_update = jax.random.split(jax.random.fold_in(key, number))
         batch = frame_replay.sample(held, key_sample, (training.batch,), weight)
-        state, losses = model.update(state, batch, key_update, hparams)
+        rate = 0.5 * (1 + jnp.cos(jnp.pi * number / whole)) * training.learning_rate
+        hparams: Any = {"learning_rate": rate}
+        state, losses = model.update(state, batch, key_update, PixelHParams(**hparams))
         return state, total + losses["frame_loss"]
 
-    state, total = jax.lax.fori_loop(*span, update, (state, jnp.float32(0)))
-    return state, total / jnp.maximum(span[1] - span[0], 1)
+    state, total = jax.lax.fori_loop(first, end, update, (state, jnp.float32(0)))
+    return state, total / jnp.maximum(end - first, 1)
 
 
 def judge(options: Options, arm: str, params: Any, new: Transition, key: Key) -> Judgement:

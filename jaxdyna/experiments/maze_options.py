@@ -26,7 +26,9 @@ class Training:
     """How a model is trained on what is in its replay, from scratch at each stage."""
 
     updates: int = 2500
-    """Gradient steps, whatever the number of episodes."""
+    """Gradient steps, however few the episodes."""
+    updates_per_episode: float = 0.0
+    """As many more for each episode of data."""
     batch: int = 32
     """Transitions in each."""
     learning_rate: float = 5e-3
@@ -38,9 +40,15 @@ class Training:
     reward_weight: float = 1.0
     """Weight of the reward's squared error beside the frame's loss."""
 
+    def updates_at(self, episodes: int) -> int:
+        """Gradient steps on so many episodes."""
+        return self.updates + round(self.updates_per_episode * episodes)
+
     def __post_init__(self) -> None:
         if self.updates < 1 or self.batch < 1:
             raise ValueError(f"{self.updates} updates of {self.batch}: both must be at least 1")
+        if not 0 <= self.updates_per_episode < float("inf"):
+            raise ValueError(f"updates_per_episode is {self.updates_per_episode}: give 0 or more")
         if not 0 < self.learning_rate < float("inf"):
             raise ValueError(f"the learning rate is {self.learning_rate}: it must be above 0")
         if not 0 <= self.weight_decay < float("inf"):
@@ -105,7 +113,7 @@ class Options:
     """New episodes that models are judged on."""
     horizon: int = 50
     """Steps of an open-loop dream."""
-    paper: Training = field(default_factory=lambda: Training(6000, 32, 3e-3, 0.2, None, 0.05))
+    paper: Training = field(default_factory=lambda: Training(6000, 30, 32, 3e-3, 0.4, None, 0.05))
     """Training of the paper's model."""
     lean: Training = field(default_factory=Training)
     """Training of ours."""
@@ -164,8 +172,8 @@ _FEW: dict[str, Any] = {
     "widths": (8, 8, 8),
     "dense": 128,
     "lean_widths": (32, 32),
-    "paper": Training(300, 32, 3e-3, 0.2, None, 0.05),
-    "lean": Training(500, 32, 1e-2),
+    "paper": Training(300, 0, 32, 3e-3, 0.2, None, 0.05),
+    "lean": Training(500, 0, 32, 1e-2),
 }
 QUICK = {
     "paper": replace(PAPER, **_FEW, arms=("paper", "paper_l2", "paper_l1", "lean")),
@@ -184,7 +192,7 @@ def config_of(options: Options, arm: str) -> PixelConfig:
     """
     loss = {"l1": l1, "l2": l2}.get(arm.partition("_")[2], bce)
     training = training_of(options, arm)
-    optimizer = cosine_adam(training.updates, training.weight_decay)
+    optimizer = decayed_adam(training.weight_decay)
     weight = training.reward_weight
     own = "joint" if arm.startswith("paper") else "local"
     head = {"joint": JointReward(), "local": LocalReward(), "none": None}[
@@ -199,13 +207,6 @@ def config_of(options: Options, arm: str) -> PixelConfig:
 
 
 @cache
-def cosine_adam(updates: int, weight_decay: float) -> Any:
-    """AdamW whose learning rate falls to 0 within ``updates``, along half a cosine."""
-    return partial(_cosine_adam, updates, weight_decay)
-
-
-def _cosine_adam(
-    updates: int, weight_decay: float, learning_rate: Any
-) -> optax.GradientTransformation:
-    schedule = optax.cosine_decay_schedule(learning_rate, updates)
-    return optax.adamw(schedule, weight_decay=weight_decay)
+def decayed_adam(weight_decay: float) -> Any:
+    """AdamW: one object, and so one program, for the same settings."""
+    return partial(optax.adamw, weight_decay=weight_decay)

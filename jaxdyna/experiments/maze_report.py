@@ -174,12 +174,18 @@ def _setting(options: Options, arm: str) -> str:
         if training.rare_share is not None
         else ""
     )
+    more = (
+        f" and {training.updates_per_episode:g} more for each episode of data"
+        if training.updates_per_episode
+        else ""
+    )
     head = f"reward by {type(config.reward).__name__}" if config.reward else "no reward head"
     return (
         f"{type(config.network).__name__} with {size}, {tables.loss_of(arm)}, "
-        f"{training.updates:,} updates on batches of {training.batch}{share}, Adam from "
+        f"{training.updates:,} updates{more} on batches of {training.batch}{share}, Adam from "
         f"{training.learning_rate:g} down along a cosine with weight decay "
-        f"{training.weight_decay:g}, lit above {config.threshold:g}, {head}"
+        f"{training.weight_decay:g}, lit above {config.threshold:g}, {head} "
+        f"(weight {training.reward_weight:g})"
     )
 
 
