@@ -332,4 +332,5 @@ def test_an_arm_stops_some_episodes_after_its_last_seed_solved(tmp_path):
 
 
 def test_piece_length_divides_where_it_can():
-    assert [piece_length(total) for total in (1000, 600, 24, 7, 997)] == [50, 50, 24, 7, 50]
+    assert [piece_length(total, 50) for total in (1000, 600, 24, 7, 997)] == [50, 50, 24, 7, 50]
+    assert [piece_length(total, 10) for total in (500, 150, 24, 7, 97)] == [10, 10, 8, 7, 10]

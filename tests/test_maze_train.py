@@ -39,6 +39,11 @@ def test_it_leaves_what_the_contract_asks_for(finished):
             assert len(arm[name]["per_seed"]) == 2
         assert "0.95 of the mean oracle return" in arm["solve_rule"]
         assert arm["greedy"]["share"]["mean"] <= 1
+    alone, dyna = (results["arms"][name]["cost"] for name in ("model_free", "dyna"))
+    for cost in (dyna["seconds"], dyna["floor_seconds"]):
+        assert min(cost.values()) > 0
+    assert alone["seconds"]["dreams"] == alone["seconds"]["model updates"] == 0
+    assert results["device"]["peak_memory_gib"] > 0.1
     report = (finished / "report.md").read_text()
     for name in ("fig8.png", "solved.png", "behaviour.png", "film_dyna.gif"):
         assert f"({name})" in report and (finished / name).exists()

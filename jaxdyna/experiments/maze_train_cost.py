@@ -63,7 +63,7 @@ def cost_of_parts(
 def _works(arm: Arm, updates: tuple[int, int], state: DynaState, key: jax.Array) -> list[Work]:
     dyna, config, hparams = arm
     world, learn_dreams = dyna.dream, dyna.agent.update_fake or dyna.agent.update
-    keys = jax.random.split(key, 7)
+    keys = jax.random.split(key, 8)
 
     def real_episode(agent: Any, key: jax.Array) -> Any:
         return play_real(dyna, config, agent, key, hparams)
@@ -93,7 +93,7 @@ def _works(arm: Arm, updates: tuple[int, int], state: DynaState, key: jax.Array)
         steps = config.dream_steps or config.num_steps
         fake = jax.jit(dream)(state, keys[5])
         learning = Work("agent updates", updates[1], learn_fake, (state.agent, fake, keys[6]))
-        dreaming = Work("dreams", steps, dream, (state, jax.random.clone(keys[5])))
+        dreaming = Work("dreams", steps, dream, (state, keys[7]))
         works += config.dream_updates * [dreaming, learning]
     return works
 

@@ -59,7 +59,7 @@ class Runner:
             None plays all.
         directory: where checkpoints live; None keeps none.
         block: seeds vmapped together on a CPU, see `jaxdyna.sweep.sweep`.
-        piece: about as many episodes are played between two looks at the clock.
+        piece: about as many episodes are played between two looks at the clock; None for 50.
         report: called with ``(stage, done, total, solved)`` whenever one of them changes.
     """
 
@@ -68,7 +68,7 @@ class Runner:
     stop_after_solved: int | None = None
     directory: Path | None = None
     block: int | None = None
-    piece: int = PIECE_EPISODES
+    piece: int | None = None
     report: Callable[[str, int, int, int], None] = lambda *_: None
     programs: dict[Any, tuple[Any, Any]] = field(default_factory=dict)
 
@@ -79,7 +79,7 @@ class Runner:
             KeyboardInterrupt: on Ctrl-C, after the piece in progress is done and saved.
         """
         total = arm.config.num_episodes
-        piece = piece_length(total, self.piece)
+        piece = piece_length(total, self.piece or PIECE_EPISODES)
         checkpoints = Checkpoints(self.directory / name) if self.directory else None
         self.report("compiling", 0, total, 0)
         began = time.perf_counter()
@@ -142,7 +142,7 @@ class Runner:
         return done >= last + self.stop_after_solved
 
 
-def piece_length(total: int, about: int = PIECE_EPISODES) -> int:
+def piece_length(total: int, about: int) -> int:
     """Episodes in a jitted piece: a divisor of ``total`` up to ``about`` and not far below it where
     there is one, so that one program serves.
     """

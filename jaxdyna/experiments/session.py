@@ -23,7 +23,7 @@ from jaxdyna.experiments.report import (
     describe_arm,
     environment,
 )
-from jaxdyna.experiments.run import PIECE_EPISODES, Arm, ArmRun, Runner
+from jaxdyna.experiments.run import Arm, ArmRun, Runner
 from jaxdyna.experiments.storage import (
     MANY_SEEDS,
     plain,
@@ -86,7 +86,7 @@ class Session:
     keys: jax.Array
     report: Report
     block: int | None = None
-    piece: int = PIECE_EPISODES
+    piece: int | None = None
     slim_above: int = MANY_SEEDS
     console: Console = field(default_factory=lambda: Console(highlight=False))
 
