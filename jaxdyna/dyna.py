@@ -43,7 +43,8 @@ class Dyna(NamedTuple):
     Attributes:
         env: the real environment.
         agent: who acts.
-    XX: where fake episodes are played.
+        model: what is learned of the world, None where nothing is.
+        dream: where fake episodes are played.
         diagnose: ``(model_params, transitions, key) -> metrics``: judges the model on real
             episodes ``[N, T]`` that it has not been trained on yet.
         watch: ``(transitions, first_states, env_params) -> metrics`` of real episodes ``[N, T]``
