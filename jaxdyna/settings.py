@@ -25,7 +25,7 @@ class DynaConfig:
         replay_capacity: transitions kept; None keeps all.
         forget_every: real episodes after which the replay is emptied, as the authors' code does;
             0 never.
-        rare_share: the share of each model batch that is drawn from rare transitions, those that
+        rare_share: at least this share of each model batch comes from rare transitions, those that
             ended an episode or what else `jaxdyna.dyna.Dyna.memory` takes for rare; None draws all
             alike.
         rest_when_safe: for tasks whose end is a failure. Neither train the model nor dream after

@@ -104,7 +104,7 @@ class Memory(NamedTuple):
             episodes like the example ``[...]``.
         add: ``(memory, transitions) -> memory`` with whole episodes ``[N, T]``.
         sample: ``(memory, key, shape, rare_share) -> transitions`` with leading axes ``shape``, a
-            share of them rare ones (the memory knows which); None draws all alike.
+            share of them, or more, rare ones (the memory knows which); None draws all alike.
         forget: ``(memory, when) -> memory``: emptied where ``when`` is true.
     """
 

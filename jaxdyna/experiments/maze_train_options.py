@@ -67,7 +67,7 @@ class Options:
     model_widths: tuple[int, ...] = (32, 32)
     """Channels of the model's 3x3 convolutions."""
     rare_share: float | None = 0.25
-    """Share of each model batch drawn from transitions with a reward; None: as they come."""
+    """At least this share of each model batch are collisions and goal steps; None: as they come."""
     dream_updates: int = 1
     """Times that dreams are played and learned from after each real episode."""
     dream_episodes: int = 64
