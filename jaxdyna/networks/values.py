@@ -44,8 +44,8 @@ class GlimpseQ(nn.Module):
     """Values of actions from a picture: heads that each look for one thing, and a perceptron on
     where that is and on a glimpse of what is around it. A head's map is a mixture of the stack's
     channels; the mean place on it is a feature point (Finn et al. 2016), and a glimpse is read
-    there by rows, then by columns (Gregor et al. 2015): small matrix products, a tenth of the
-    operations of convolutions over the whole picture.
+    there by rows, then by columns (Gregor et al. 2015): small matrix products, far
+    fewer operations than convolutions over the whole picture.
 
     Attributes:
         num_actions: how many values.
