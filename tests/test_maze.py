@@ -180,3 +180,19 @@ def test_only_pictures_are_stacked():
         FrameStack(CartPole())
     with pytest.raises(ValueError, match="num_frames is 0"):
         FrameStack(Maze(), 0)
+
+
+def test_it_plays_and_plans_in_double_precision():
+    with jax.enable_x64(True):
+        maze = Maze(4, 2)
+        env = FrameStack(maze)
+        params = env.default_params
+
+        def act(obs, key):
+            return jax.random.randint(key, (), 0, 5)
+
+        played = rollout(env, act, jax.random.key(0), params, 3, num_steps=6)
+        assert played.reward.shape == (3, 6)
+        _, start = maze.reset(jax.random.key(1), params)
+        assert {leaf.dtype for leaf in jax.tree.leaves(start)} == {np.dtype(np.int32)}
+        assert solve_maze(maze, start, params, 6).action.shape == (6, 4, 4)

@@ -11,9 +11,11 @@ import pytest
 from parts import assert_same
 
 from jaxdyna import frame_replay
-from jaxdyna.experiments import maze, maze_frames, maze_model, plots_frames
-from jaxdyna.experiments.maze_options import Options
+from jaxdyna.experiments import maze, maze_frames, maze_judge, maze_model, plots_frames
+from jaxdyna.experiments.maze_options import Options, world
 from jaxdyna.experiments.storage import read_curves
+from jaxdyna.rollout import rollout
+from jaxdyna.types import Prediction
 
 TINY = [
     "--part", "model", "--quick", "--seeds", "2", "--episodes", "6", "--stages", "2", "6",
@@ -43,7 +45,7 @@ def test_it_leaves_a_table_and_figures(finished):
     assert set(judged["f1"]) == {"agent", "obstacles", "goal"}
     assert all(len(score["per_seed"]) == 2 for score in judged["f1"].values())
     rewards = judged["reward_right"].values()
-    assert sum(kind["steps"] for kind in rewards) == 2 * 2 * 30
+    assert sum(kind["steps"] for kind in [*rewards][:3]) == 2 * 2 * 30
     report = (finished / "report.md").read_text()
     assert "| paper's figures | 100 | 0.92 | 0.83 | 0.99 |" in report
     for name in ("fig7_paper.png", "fig7_lean.png", "thresholds.png", "losses.png", "horizon.png"):
@@ -69,6 +71,11 @@ def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch
         patch.setattr(maze_frames, "deferred_interrupt", lambda: contextlib.nullcontext([2]))
         assert play(part, *arms) == 130
         assert read_curves(part / "curves.npz") == {}
+    record = json.loads((part / "results.json").read_text())
+    spent = record["timing"].pop("arms")["paper"]["stages"]["2"]
+    (part / "results.json").write_text(
+        json.dumps(record | {"timing": record["timing"] | {"arms": {}}})
+    )
     monkeypatch.setattr(maze_frames, "make_study", interrupting)
     made.append("paper")
     with pytest.raises(SystemExit) as stop:
@@ -80,6 +87,8 @@ def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch
     ours, whole = (read_curves(folder / "curves.npz") for folder in (part, finished))
     assert set(whole) == {"paper@2", "paper@6", "lean@2", "lean@6"}
     assert_same(ours, whole)
+    timing = json.loads((part / "results.json").read_text())["timing"]
+    assert timing["arms"]["paper"]["stages"]["2"] > spent > 0  # what a killed run had taken
 
 
 @pytest.mark.parametrize(
@@ -88,6 +97,7 @@ def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch
         (["--episodes", "5"], "less than the first of --stages"),
         (["--arms", "papre"], "papre"),
         (["--widths", "4"], "three numbers"),
+        (["--collision-reward", "nan"], "--collision-reward"),
         (["--size", "9"], "larger --size"),
         (["--obstacles", "-1"], "num_obstacles"),
         (["--steps", "30", "--horizon", "21"], "where dreams end"),
@@ -120,9 +130,56 @@ def test_a_stage_sees_its_own_episodes_only():
 def test_counts_by_hand():
     truth = jnp.zeros((2, 3, 3, 3), bool).at[0, 0, 0, 2].set(True).at[1, 1, 1, 0].set(True)
     lit = truth.at[0, 2, 2, 2].set(True).at[1, 1, 1, 0].set(False)
-    counts = np.asarray(maze_model._counts(lit, truth, (0, 1, 2)))
+    counts = np.asarray(maze_judge._counts(lit, truth, (0, 1, 2)))
     np.testing.assert_array_equal(counts, [[1, 2, 1], [0, 0, 1], [0, 0, 0]])
-    np.testing.assert_allclose(maze_model.f1(counts), [2 / 3, 0, 0])
+    np.testing.assert_allclose(maze_judge.f1(counts), [2 / 3, 0, 0])
+
+
+def played(options, key):
+    env, params = world(options)
+    steps, count = options.steps, options.held_out
+    return rollout(env, maze_model.random_act, key, params, count, num_steps=steps)
+
+
+def remembers(new, late):
+    """Predicts what happened when it saw just that; or, late, that nothing changes."""
+
+    def predict(params, obs, action, key):
+        same = (new.obs == obs).all((-1, -2, -3)) & (new.action == action)
+        where = jnp.unravel_index(jnp.argmax(same), same.shape)
+        follows = jnp.concatenate([obs[..., 3:], obs[..., -3:]], -1)
+        follows = follows if late else new.next_obs[where]
+        return Prediction(follows, new.reward[where] - late, jnp.float32(0), jnp.float32(0))
+
+    def believe(params, obs, action):
+        key = jax.random.key(0)
+        return jax.vmap(lambda o, a: predict(params, o, a, key).next_obs[..., -3:] / 255)(
+            obs, action
+        )
+
+    return maze_judge.Predictor(believe, predict, predict)
+
+
+def test_who_is_always_right_is_judged_so():
+    options = Options(size=5, obstacles=3, steps=24, horizon=10, held_out=4, kernels=(2, 2, 2))
+    new = played(options, jax.random.key(1))
+    judged, late = (
+        maze_judge.judge(options, remembers(new, slow), None, new, jax.random.key(2))
+        for slow in (False, True)
+    )
+    for name in ("one_step", "dream_lit", "dream_drawn"):
+        np.testing.assert_array_equal(maze_judge.f1(np.asarray(judged[name])), 1)
+        scores = maze_judge.f1(np.asarray(late[name]))
+        assert scores[..., 1].mean() < 0.4  # obstacles move, but where they turn
+    collisions, goals, others, first = np.asarray(judged["reward"][:, 1])
+    assert collisions == (new.reward < 0).sum() > 0 and collisions + goals + others == 4 * 24
+    assert first == (new.reward[:, 0] < 0).sum()
+    np.testing.assert_array_equal(judged["reward"][:, 0], judged["reward"][:, 1])
+    assert late["reward"][:, 0].sum() == 0
+    lit = judged["one_step"][0, :, 2]
+    np.testing.assert_allclose(judged["mass"], np.stack([lit, 0 * lit], -1))
+    assert late["mass"][1, 1] > 0.5 * lit[1]
+    np.testing.assert_array_equal(judged["film_dream"], new.next_obs[0, 10:20, ..., -3:])
 
 
 def test_presets_and_stages():

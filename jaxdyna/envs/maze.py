@@ -13,7 +13,7 @@ from flax import struct
 from jaxdyna.envs.gymnasium import spaces
 from jaxdyna.types import Key
 
-MOVES = np.array([(0, -1), (0, 1), (-1, 0), (1, 0), (0, 0)])
+MOVES = np.array([(0, -1), (0, 1), (-1, 0), (1, 0), (0, 0)], np.int32)
 """(row, column) by action: left, right, forward (up), backward (down), wait; obstacles' directions
 are the first four, and ``direction ^ 1`` is the way back.
 """
@@ -113,7 +113,7 @@ class Maze:
         """
         del params
         key_cells, key_directions = jax.random.split(key)
-        agent, goal = jnp.array(self.start_cell), jnp.array(self.goal_cell)
+        agent, goal = jnp.array([self.start_cell, self.goal_cell], jnp.int32)
         taken = np.zeros((self.size, self.size), bool)
         taken[self.start_cell] = taken[self.goal_cell] = True
         ticket = jax.random.uniform(key_cells, (self.size**2,))
@@ -122,7 +122,7 @@ class Maze:
             agent=agent,
             goal=goal,
             obstacles=jnp.stack([cells // self.size, cells % self.size], axis=-1),
-            directions=jax.random.randint(key_directions, (self.num_obstacles,), 0, 4),
+            directions=jax.random.randint(key_directions, (self.num_obstacles,), 0, 4, jnp.int32),
             time=jnp.int32(0),
         )
         return self.frame(state), state

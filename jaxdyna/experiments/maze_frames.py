@@ -110,7 +110,7 @@ class Trainee:
         self.record, self.arm, self.bars, self.interrupted = record, arm, bars, interrupted
         self.updates_at = training_of(record.options, arm).updates_at
         self.checkpoints = Checkpoints(record.out / "checkpoints" / arm)
-        nothing: Timing = {"compile_s": 0.0, "run_s": 0.0, "stages": {}}
+        nothing: Timing = {"compile_s": 0.0, "run_s": 0.0, "judge_s": 0.0, "stages": {}}
         self.spent = record.timing.setdefault(arm, nothing)
         options = record.options
         study, block = make_study(options, arm), 1 if jax.default_backend() == "cpu" else None
@@ -145,7 +145,7 @@ class Trainee:
         _, judged = self._judge(run, stage, NOTHING_SWEPT)
         kept = jax.tree.map(lambda leaf: np.asarray(leaf[0]), judged)
         kept |= {part: kept[part][0] for part in OF_THE_FIRST_SEED}
-        self._count("run_s", began)
+        self._count("judge_s", began)
         self.record.curves[name] = kept
         self.record.write()
         self.bars.advance(self.arm, before + done, "")
@@ -160,9 +160,11 @@ class Trainee:
         began = time.perf_counter()
         run, done = self._start(jax.random.clone(self.keys), NOTHING_SWEPT), 0
         if self.record.options.resume and self.checkpoints.exists():
-            kept, [counts], _ = self.checkpoints.load(run._replace(data=None))
+            kept, [counts], run_s = self.checkpoints.load(run._replace(data=None))
             if counts["stage"] == stage:
                 run, done = kept._replace(data=run.data), int(counts["done"])
+                self.spent["run_s"] = run_s
+                self.spent["stages"][str(stage)] = float(counts["seconds"])
         run, _ = self._train(run, (stage, 0, 1), NOTHING_SWEPT)
         jax.block_until_ready(run.done)
         self._count("compile_s", began)
@@ -172,9 +174,13 @@ class Trainee:
         """Writes a checkpoint where one is due; data is not in it."""
         if not (self.interrupted or time.perf_counter() - self.saved > CHECKPOINT_SECONDS):
             return
-        counts = {"stage": np.array(stage), "done": np.array(done)}
+        seconds = self.spent["stages"][str(stage)]
+        counts = {"stage": stage, "done": done, "seconds": seconds}
         self.checkpoints.save(
-            self._before(stage) + done, run._replace(data=None), counts, self.spent["run_s"]
+            self._before(stage) + done,
+            run._replace(data=None),
+            {name: np.array(count) for name, count in counts.items()},
+            self.spent["run_s"],
         )
         self.saved = time.perf_counter()
         if self.interrupted:

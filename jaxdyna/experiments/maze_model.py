@@ -1,4 +1,4 @@
-"""Training a frame model on a random policy's episodes, and judging it on new ones."""
+"""Training a frame model on a random policy's episodes."""
 
 from __future__ import annotations
 
@@ -8,31 +8,16 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxdyna import frame_replay
 from jaxdyna.envs.maze import MOVES
-from jaxdyna.experiments.maze_options import (
-    DREAM_FROM,
-    Options,
-    Training,
-    config_of,
-    training_of,
-    world,
-)
+from jaxdyna.experiments.maze_judge import Judgement, judge, make_model, predictor
+from jaxdyna.experiments.maze_options import Options, Training, config_of, training_of, world
 from jaxdyna.frame_replay import FrameReplay
-from jaxdyna.models import PixelConfig, PixelHParams, frame_probability, pixels
-from jaxdyna.models.evaluation import open_loop
+from jaxdyna.models import PixelHParams
 from jaxdyna.replay import share_weight
 from jaxdyna.rollout import rollout
 from jaxdyna.types import DynamicsModel, Key, Transition
-
-CLASSES = {"agent": 2, "obstacles": 0, "goal": 1}
-CHANNELS = np.array(list(CLASSES.values()))
-THRESHOLDS = np.round(np.arange(0.05, 0.96, 0.05), 2)
-REWARD_KINDS = ("collision", "goal", "neither")
-
-Judgement = dict[str, jax.Array]
 
 
 class Run(NamedTuple):
@@ -123,14 +108,9 @@ def make_study(options: Options, arm: str) -> Study:
         key_new, key_judge = jax.random.split(key)
         new = rollout(env, random_act, key_new, params, options.held_out, num_steps=options.steps)
         now = jax.random.fold_in(key_judge, stage)
-        return run, judge(options, arm, run.state.params, new, now)
+        return run, judge(options, predictor(options, config), run.state.params, new, now)
 
     return Study(init, train, judged)
-
-
-def make_model(options: Options, config: PixelConfig) -> DynamicsModel:
-    """A model of the experiment's maze."""
-    return pixels((options.size, options.size, 3), len(MOVES), config)
 
 
 def _train(
@@ -147,7 +127,8 @@ def _train(
     first, end, whole = span
     weight = None
     if training.rare_share is not None:
-        weight = share_weight(held.held, held.rest["reward"] != 0, training.rare_share)
+        reward = held.rest["reward"]
+        weight = share_weight(held.held, jnp.stack([reward < 0, reward > 0]), training.rare_share)
 
     def update(number: jax.Array, carry: Any) -> Any:
         state, total = carry
@@ -160,85 +141,3 @@ def _train(
 
     state, total = jax.lax.fori_loop(first, end, update, (state, jnp.float32(0)))
     return state, total / jnp.maximum(end - first, 1)
-
-
-def judge(options: Options, arm: str, params: Any, new: Transition, key: Key) -> Judgement:
-    """Counts over new episodes, from which `scores` follow.
-
-    Args:
-        options: the experiment's.
-        arm: whose model it is.
-        params: the model's.
-        new: episodes ``[N, T]``.
-        key: random key.
-
-    Returns:
-        ``one_step`` ``[thresholds, classes, 3]``: pixels rightly lit, lit, and to be lit; ``mass``
-        ``[classes, 2]``: sums of a belief and of its square; ``reward`` ``[kinds, 2]``: rewards
-        right to within 0.5, and all; ``dream_lit`` and ``dream_drawn`` ``[horizon, classes, 3]``
-        as ``one_step`` for open-loop dreams; ``seen``, ``truth`` and ``belief`` of two steps;
-        ``film_truth`` and ``film_dream`` ``[horizon, H, W, 3]``.
-    """
-    key_reward, key_lit, key_drawn = jax.random.split(key, 3)
-    config = config_of(options, arm)
-    model = make_model(options, config)
-    drawing = make_model(options, replace(config, threshold=None))
-    believe = frame_probability(len(MOVES), config)
-
-    def one_by_one(key: Key, episode: Transition) -> tuple[Key, Judgement]:
-        key, key_now = jax.random.split(key)
-        return key, _one_step(model, believe, params, episode, key_now)
-
-    totals = jax.lax.scan(one_by_one, key_reward, new)[1]
-    judgement = jax.tree.map(lambda leaf: leaf.sum(0), totals)
-    span = slice(DREAM_FROM, DREAM_FROM + options.horizon)
-    truth = new.next_obs[:, span, ..., -3:]
-
-    def dream(kind: DynamicsModel, key: Key) -> jax.Array:
-        def one(obs: jax.Array, action: jax.Array, key: Key) -> jax.Array:
-            return open_loop(kind.predict, params, obs, action, key).next_obs[..., -3:]
-
-        keys = jax.random.split(key, options.held_out)
-        return jax.vmap(one)(new.obs[:, DREAM_FROM], new.action[:, span], keys)
-
-    lit, drawn = dream(model, key_lit), dream(drawing, key_drawn)
-    shown = jax.tree.map(lambda leaf: leaf[0, DREAM_FROM - 2 : DREAM_FROM], new)
-    return judgement | {
-        "dream_lit": _counts(lit > 0, truth > 0, (0, 2, 3)),
-        "dream_drawn": _counts(drawn > 0, truth > 0, (0, 2, 3)),
-        "seen": shown.obs,
-        "truth": shown.next_obs[..., -3:],
-        "belief": believe(params, shown.obs, shown.action),
-        "film_truth": truth[0],
-        "film_dream": lit[0],
-    }
-
-
-def _one_step(
-    model: DynamicsModel, believe: Callable[..., jax.Array], params: Any, one: Transition, key: Key
-) -> Judgement:
-    """The counts of one episode ``[T]``."""
-    belief = believe(params, one.obs, one.action)
-    lit = belief > THRESHOLDS[:, None, None, None, None]
-    keys = jax.random.split(key, one.action.shape[0])
-    reward = jax.vmap(model.predict, (None, 0, 0, 0))(params, one.obs, one.action, keys).reward
-    right = jnp.abs(reward - one.reward) < 0.5
-    kinds = jnp.stack([one.reward < 0, one.reward > 0, one.reward == 0])
-    mass = jnp.stack([belief.sum((0, 1, 2)), jnp.square(belief).sum((0, 1, 2))], axis=-1)
-    return {
-        "one_step": _counts(lit, one.next_obs[..., -3:] > 0, (1, 2, 3)),
-        "mass": mass[CHANNELS],
-        "reward": jnp.stack([(kinds & right).sum(1), kinds.sum(1)], axis=-1),
-    }
-
-
-def _counts(lit: jax.Array, truth: jax.Array, axes: tuple[int, ...]) -> jax.Array:
-    """``[..., classes, 3]``: pixels rightly lit, lit, and to be lit, summed over ``axes``."""
-    truth = jnp.broadcast_to(truth, lit.shape)
-    counts = jnp.stack([(lit & truth).sum(axes), lit.sum(axes), truth.sum(axes)], axis=-1)
-    return counts[..., CHANNELS, :]
-
-
-def f1(counts: np.ndarray) -> np.ndarray:
-    """F1 of `_counts` ``[..., 3]``: the harmonic mean of precision and recall."""
-    return 2 * counts[..., 0] / np.maximum(counts[..., 1] + counts[..., 2], 1)

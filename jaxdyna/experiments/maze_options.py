@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -25,7 +26,7 @@ ModelName = Literal["paper", "paper_l2", "paper_l1", "lean", "lean_l2", "lean_l1
 class Training:
     """How a model is trained on what is in its replay, from scratch at each stage."""
 
-    updates: int = 2500
+    updates: int = 5000
     """Gradient steps, however few the episodes."""
     updates_per_episode: float = 0.0
     """As many more for each episode of data."""
@@ -35,8 +36,9 @@ class Training:
     """Adam's at the start; it falls to 0 along half a cosine within the updates."""
     weight_decay: float = 0.0
     """Of AdamW (Loshchilov and Hutter 2019); 0 is Adam."""
-    rare_share: float | None = 0.25
-    """Share of each batch drawn from transitions whose reward is not 0; None: as they come."""
+    rare_share: float | None = 0.5
+    """At least this share of each batch are collisions and goal steps, where there are any: half
+    each, where there are both; None: as they come."""
     reward_weight: float = 1.0
     """Weight of the reward's squared error beside the frame's loss."""
 
@@ -128,9 +130,13 @@ class Options:
             raise ValueError(
                 f"--episodes is {self.episodes}, less than the first of --stages: raise it"
             )
+        for name in ("collision_reward", "goal_reward"):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(f"--{name.replace('_', '-')} must be a finite number")
         if len(self.widths) != 3 or len(self.kernels) != 3 or min(self.widths) < 1:
             raise ValueError("--widths and --kernels: give three numbers each, at least 1")
-        if min(self.kernels) < 1 or sum(self.kernels) - 3 >= self.size:
+        papers = any(arm.startswith("paper") for arm in self.arms)
+        if papers and (min(self.kernels) < 1 or sum(self.kernels) - 3 >= self.size):
             raise ValueError(
                 f"--kernels {self.kernels} leave nothing of a maze of {self.size} cells a side: "
                 "give smaller ones, or a larger --size"

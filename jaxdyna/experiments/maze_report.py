@@ -13,7 +13,8 @@ from rich.console import Console
 from jaxdyna import frame_replay
 from jaxdyna.experiments import maze_tables as tables
 from jaxdyna.experiments import plots_frames, report
-from jaxdyna.experiments.maze_model import CLASSES, REWARD_KINDS, THRESHOLDS, collect, f1
+from jaxdyna.experiments.maze_judge import CLASSES, REWARD_KINDS, THRESHOLDS, f1
+from jaxdyna.experiments.maze_model import collect
 from jaxdyna.experiments.maze_options import DREAM_FROM, Options, config_of, training_of
 from jaxdyna.experiments.report import Results, markdown_table
 from jaxdyna.statistics import bootstrap_interval
@@ -41,7 +42,7 @@ def describe(curves: Curves, options: Options) -> Results:
                 for number, threshold in enumerate(THRESHOLDS)
             },
             "believed": _summaries(judged["mass"][..., 0] / lit),
-            "blur": _summaries((judged["mass"][..., 0] - judged["mass"][..., 1]) / lit),
+            "spilled": _summaries(judged["mass"][..., 1] / lit),
             "reward_right": {
                 kind: _share(judged["reward"][:, number])
                 for number, kind in enumerate(REWARD_KINDS)

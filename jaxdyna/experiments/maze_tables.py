@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from jaxdyna.experiments.maze_model import CLASSES, REWARD_KINDS
+from jaxdyna.experiments.maze_judge import CLASSES, REWARD_KINDS
 from jaxdyna.experiments.report import Results, interval
 
 PAPER_F1 = {10: (0.83, 0.22, 0.97), 100: (0.92, 0.83, 0.99), 300: (0.98, 0.93, 1.0)}
@@ -28,11 +28,11 @@ def scores(results: Results) -> Table:
 def losses(results: Results, stage: str) -> Table:
     """What each loss makes of a picture, after one stage."""
     header = ["model", "loss"]
-    for part in ("believed", "blur"):
+    for part in ("believed", "spilled"):
         header += [f"{part}, {name}" for name in CLASSES]
     rows = []
     for arm, judged in _at(results, stage):
-        cells = [cell(judged[part][name]) for part in ("believed", "blur") for name in CLASSES]
+        cells = [cell(judged[part][name]) for part in ("believed", "spilled") for name in CLASSES]
         rows.append([arm, loss_of(arm), *cells])
     return header, rows
 
