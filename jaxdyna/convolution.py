@@ -2,7 +2,7 @@
 
 XLA's CPU backend takes a naive path for the gradient of a convolution inside a loop, tens of times
 slower than outside. Written as a convolution with the flipped kernel (by the input) and as one
-matrix product for each cell of the kernel (by the weights) it costs the same in both places.
+matrix product for each cell of the kernel (by the weights) it costs no more there than outside.
 """
 
 from __future__ import annotations

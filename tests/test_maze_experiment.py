@@ -11,7 +11,7 @@ import pytest
 from parts import assert_same
 
 from jaxdyna import frame_replay
-from jaxdyna.experiments import maze, maze_frames, maze_judge, maze_model, plots_frames
+from jaxdyna.experiments import maze, maze_frames, maze_judge, maze_model, maze_tables, plots_frames
 from jaxdyna.experiments.maze_options import Options, world
 from jaxdyna.experiments.storage import read_curves
 from jaxdyna.rollout import rollout
@@ -180,6 +180,30 @@ def test_who_is_always_right_is_judged_so():
     np.testing.assert_allclose(judged["mass"], np.stack([lit, 0 * lit], -1))
     assert late["mass"][1, 1] > 0.5 * lit[1]
     np.testing.assert_array_equal(judged["film_dream"], new.next_obs[0, 10:20, ..., -3:])
+
+
+def described(lit, drawn, sure=0.9, spilled=0.1):
+    def by_class(values):
+        one = {"mean": float(np.mean(values)), "per_seed": list(values)}
+        return dict.fromkeys(("agent", "obstacles", "goal"), one)
+
+    dreams = {"lit": {"10": by_class(lit)}, "drawn": {"10": by_class(drawn)}}
+    said = {"dream_f1": dreams, "believed": by_class([sure]), "spilled": by_class([spilled])}
+    return {"arms": {"lean": {"100": said}}}
+
+
+def test_the_report_claims_no_more_than_the_runs_show():
+    for lit, drawn, verdict in [
+        ([0.9, 0.8, 0.9], [0.7, 0.7, 0.6], "threshold drifts less"),
+        ([0.7, 0.7, 0.6], [0.9, 0.8, 0.9], "drawn drifts less"),
+        ([0.9, 0.5, 0.7], [0.7, 0.7, 0.7], "cannot be told apart"),
+        ([0.7, 0.7, 0.7], [0.7, 0.7, 0.7], "cannot be told apart"),
+    ]:
+        assert verdict in maze_tables.drift_said(described(lit, drawn))
+    for sure, spilled, word in [(0.9, 0.9, "sharp"), (0.5, 0.5, "blurred"), (0.1, 0.0, "dark")]:
+        assert f"`lean` is {word}" in maze_tables.blur_said(
+            described([1], [1], sure, spilled), "100"
+        )
 
 
 def test_presets_and_stages():

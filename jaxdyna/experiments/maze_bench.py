@@ -147,15 +147,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ValueError as error:
         cli.fail(str(error), PROG)
     taken: dict[str, list[float]] = {name: [] for name in contenders}
+    names = list(contenders)
     for number in range(options.rounds + 2):
-        for name, steps in contenders.items():
+        names = [*names[1:], names[0]]  # whoever goes before may leave threads behind
+        for name in names:
             began = time.perf_counter()
-            steps()
+            contenders[name]()
             if number >= 2:  # the first rounds warm up
                 taken[name].append(1000 * (time.perf_counter() - began) / SCANNED)
     median = {name: float(np.median(values)) for name, values in taken.items()}
-    rows = [[name, f"{ms:.1f}", f"{ms / median['PyTorch']:.2f}"] for name, ms in median.items()]
-    table = ["training step", "ms", "of PyTorch's"], rows
+    rows = []
+    for name, ms in median.items():
+        low, high = np.percentile(taken[name], [25, 75])
+        rows.append(
+            [name, f"{ms:.1f}", f"{low:.1f} to {high:.1f}", f"{ms / median['PyTorch']:.2f}"]
+        )
+    table = ["training step", "ms", "half of the rounds", "of PyTorch's"], rows
     results = {
         "experiment": "maze_bench",
         "command": f"{PROG} {' '.join(sys.argv[1:] if argv is None else argv)}".strip(),

@@ -135,8 +135,7 @@ def _train(
         key_sample, key_update = jax.random.split(jax.random.fold_in(key, number))
         batch = frame_replay.sample(held, key_sample, (training.batch,), weight)
         rate = 0.5 * (1 + jnp.cos(jnp.pi * number / whole)) * training.learning_rate
-        hparams: Any = {"learning_rate": rate}
-        state, losses = model.update(state, batch, key_update, PixelHParams(**hparams))
+        state, losses = model.update(state, batch, key_update, PixelHParams(rate))
         return state, total + losses["frame_loss"]
 
     state, total = jax.lax.fori_loop(first, end, update, (state, jnp.float32(0)))

@@ -65,8 +65,9 @@ class Training:
 class Options:
     """Action-conditional frame prediction in the Maze: the paper's F1 table and Fig. 7."""
 
-    part: Literal["model"] = "model"
-    """model: frame prediction from a random policy's episodes."""
+    part: Literal["train", "model"] = "model"
+    """model: frame prediction from a random policy's episodes; train: learning to act (a command
+    line of its own)."""
     preset: Literal["paper", "lean"] = "paper"
     """Which arms are played by default: paper, the paper's model beside ours; lean, ours alone."""
     quick: bool = False

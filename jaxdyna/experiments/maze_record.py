@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxdyna.experiments import maze_report, report
+from jaxdyna.experiments import maze_scores, report
 from jaxdyna.experiments.maze_options import Options
 from jaxdyna.experiments.report import Results
 from jaxdyna.experiments.storage import plain, read_curves, write_curves, write_json
@@ -53,7 +53,7 @@ class Record:
             "config": plain(self.options),
             **report.environment(),
             "timing": total | {"arms": self.timing},
-            "arms": maze_report.describe(self.curves, self.options),
+            "arms": maze_scores.describe(self.curves, self.options),
         }
         write_json(self.out / "results.json", results)
         return results
@@ -84,5 +84,7 @@ class Record:
             )
         self.curves = read_curves(self.out / "curves.npz")
         self.timing = before["timing"]["arms"]
-        self.command = before["command"]
+        again = f"{self.command} --resume"
+        more = before["command"] != self.command
+        self.command = f"{before['command']} && {again}" if more else self.command
         self.begun -= before["timing"]["total_s"]

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from jaxdyna.experiments.maze_judge import CLASSES, REWARD_KINDS
 from jaxdyna.experiments.report import Results, interval
+from jaxdyna.statistics import bootstrap_interval
 
 PAPER_F1 = {10: (0.83, 0.22, 0.97), 100: (0.92, 0.83, 0.99), 300: (0.98, 0.93, 1.0)}
 SHOWN_THRESHOLDS = ("0.1", "0.2", "0.3", "0.5", "0.7")
+SHARP = 0.8
 RULES = {"lit": "threshold", "drawn": "drawn"}
 DREAMERS = ("paper", "lean")
 Table = tuple[list[str], list[list[str]]]
@@ -47,7 +51,13 @@ def thresholds(results: Results, stage: str) -> Table:
             best = max(means, key=lambda mark: means[mark])
             cells = [f"{means[mark]:.3f}" for mark in SHOWN_THRESHOLDS]
             rows.append([arm, loss_of(arm), name, *cells, f"{means[best]:.3f} at {best}"])
-    return ["model", "loss", "F1 of", *(f"> {mark}" for mark in SHOWN_THRESHOLDS), "best"], rows
+    return [
+        "model",
+        "loss",
+        "F1 of",
+        *(f"> {mark}" for mark in SHOWN_THRESHOLDS),
+        "best here",
+    ], rows
 
 
 def rewards(results: Results) -> Table:
@@ -77,29 +87,48 @@ def dreams(results: Results) -> Table:
 
 
 def drift_said(results: Results) -> str:
-    """Which way of making frames drifts less, in words."""
+    """Which way of making frames drifts less, in words; the runs' dreams begin alike, so that
+    their difference is paired.
+    """
     said = []
     for arm, judged in _last(results):
         step = [step for step in judged["dream_f1"]["lit"] if int(step) <= 10][-1]
-        ends = {
-            rule: judged["dream_f1"][rule][step]["obstacles"]["mean"] for rule in ("lit", "drawn")
-        }
-        less = max(ends, key=lambda rule: ends[rule])
+        lit, drawn = (
+            np.array(judged["dream_f1"][rule][step]["obstacles"]["per_seed"]) for rule in RULES
+        )
+        low, high = bootstrap_interval(lit - drawn, lambda rows: rows.mean(-1))
+        verdict = "they cannot be told apart"
+        if low is not None and high is not None and low * high > 0:
+            verdict = f"{RULES['lit' if low > 0 else 'drawn']} drifts less"
         said.append(
-            f"After {step} steps `{arm}` has F1 {ends['lit']:.3f} of obstacles with the threshold "
-            f"and {ends['drawn']:.3f} drawn: {RULES[less]} drifts less."
+            f"After {step} steps `{arm}` has F1 {lit.mean():.3f} of obstacles with the threshold "
+            f"and {drawn.mean():.3f} drawn, a difference of {(lit - drawn).mean():.3f} "
+            f"({interval([low, high], 3)}): {verdict}."
         )
     return " ".join(said)
 
 
+def blur_said(results: Results, stage: str) -> str:
+    """What each loss did to obstacles, in words."""
+    said = []
+    for arm, judged in _at(results, stage):
+        sure, spilled = (judged[part]["obstacles"]["mean"] for part in ("believed", "spilled"))
+        what = "sharp" if sure > SHARP else ("blurred" if spilled > 1 - SHARP else "dark")
+        said.append(f"`{arm}` is {what} ({sure:.2f}, {spilled:.2f})")
+    return (
+        f"Obstacles (believed, spilled): {'; '.join(said)}. Sharp: more than {SHARP:g} believed; "
+        f"otherwise blurred where more than {1 - SHARP:g} is spilled, or else dark."
+    )
+
+
 def times(results: Results) -> Table:
-    """Seconds of training at each stage."""
+    """Seconds by what they were spent on."""
     rows = []
     for arm, spent in results["timing"]["arms"].items():
-        for stage, seconds in spent["stages"].items():
-            rows.append([arm, stage, f"{seconds:.0f}", f"{spent['compile_s']:.0f}"])
-    cores = results["device"]["cpu_cores"]
-    return [f"model ({cores} cores)", "episodes", "training (s)", "compiling (s)"], rows
+        parts = {f"training, {stage} episodes": took for stage, took in spent["stages"].items()}
+        parts |= {"collecting, compiling": spent["compile_s"], "judging": spent["judge_s"]}
+        rows += [[arm, part, f"{seconds:.0f}"] for part, seconds in parts.items()]
+    return [f"model ({results['device']['cpu_cores']} cores)", "part", "seconds"], rows
 
 
 def loss_of(arm: str) -> str:

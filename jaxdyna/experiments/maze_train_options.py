@@ -24,7 +24,7 @@ WINDOW = 50
 class Options:
     """DQN in the Maze, with and without fake episodes from a learned model."""
 
-    part: Literal["train"] = "train"
+    part: Literal["train", "model"] = "train"
     """train: learning to act; model: frame prediction alone (a command line of its own)."""
     preset: Literal["paper", "lean"] = "paper"
     """paper: the paper's protocol. lean: the fewest real episodes."""

@@ -24,7 +24,7 @@ class PixelHParams:
         learning_rate: of the optimiser.
     """
 
-    learning_rate: float = 5e-3
+    learning_rate: float | jax.Array = 5e-3
 
 
 @dataclass(frozen=True)
