@@ -109,6 +109,7 @@ def test_clear_errors():
         ({"num_obstacles": 255}, "0..254"),
         ({"goal": (0, 16)}, "goal is"),
         ({"start": (-1, 0)}, "start is"),
+        ({"start": [3, 4]}, "give a tuple"),
     ):
         with pytest.raises(ValueError, match=words):
             Maze(**settings)

@@ -81,8 +81,14 @@ class Maze:
         if self.size < 2:
             raise ValueError(f"size is {self.size}: a maze has at least 2 cells a side")
         for name, cell in (("start", self.start_cell), ("goal", self.goal_cell)):
-            if len(cell) != 2 or not all(0 <= part < self.size for part in cell):
-                raise ValueError(f"{name} is {cell}: give (row, column) within 0..{self.size - 1}")
+            if (
+                not isinstance(cell, tuple)
+                or len(cell) != 2
+                or not all(0 <= part < self.size for part in cell)
+            ):
+                raise ValueError(
+                    f"{name} is {cell}: give a tuple (row, column) within 0..{self.size - 1}"
+                )
         free = self.size**2 - len({self.start_cell, self.goal_cell})
         if not 0 <= self.num_obstacles <= free:
             raise ValueError(f"num_obstacles is {self.num_obstacles}: it must lie in 0..{free}")

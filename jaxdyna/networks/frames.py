@@ -16,7 +16,7 @@ class LocalDynamics(nn.Module):
 
     Attributes:
         channels: of the picture that is predicted.
-        widths: of the 3x3 layers; as many of them as a cell's influence spreads in one step.
+        widths: of the 3x3 layers; each lets a cell see one further.
     """
 
     channels: int
