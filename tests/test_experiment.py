@@ -21,6 +21,7 @@ from jaxdyna.experiments import (
     cartpole_levers,
     cartpole_readings,
     cartpole_scaling,
+    maze_levers,
     run,
 )
 from jaxdyna.experiments.cartpole_options import LEAN
@@ -132,6 +133,7 @@ def test_a_checkpoint_may_be_resumed_on_fewer_devices(tmp_path):
         (cartpole_readings.READINGS.main, ["--episodes", "50"]),
         (cartpole_accuracy.ACCURACY.main, ["--episodes", "50"]),
         (cartpole_levers.LEVERS.main, ["--episodes", "2"]),
+        (maze_levers.LEVERS.main, ["--episodes", "20"]),
         (cartpole_scaling.main, ["--episodes", "2"]),
     ],
 )

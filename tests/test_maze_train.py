@@ -1,13 +1,14 @@
 """Learning to act in the Maze: command line, report, what is measured of an episode."""
 
 import json
+from dataclasses import replace
 
 import jax
 import numpy as np
 import pytest
 
 from jaxdyna.envs import FrameStack, Maze, MazeParams
-from jaxdyna.experiments import maze
+from jaxdyna.experiments import maze, maze_levers
 from jaxdyna.experiments.maze_train import behaviour
 from jaxdyna.experiments.maze_train_options import LEAN, PAPER, Options, agent_config
 from jaxdyna.experiments.maze_train_report import replay_frames
@@ -119,3 +120,26 @@ def test_replays_are_no_larger_than_a_run_can_fill():
     assert agent_config(LEAN).capacity == 30_000
     needed = PAPER.dream_episodes * PAPER.dream_steps
     assert agent_config(PAPER).fake_capacity >= needed
+
+
+def test_levers(tmp_path, monkeypatch):
+    few = {"size": 4, "obstacles": 1, "steps": 20, "real_first": 2, "dream_episodes": 10}
+    few |= {"dream_steps": 2, "model_updates": 40, "model_widths": (4,)}
+    agent = replace(LEAN.agent, updates=1, fake_updates=1, batch=4, fake_capacity=64)
+    monkeypatch.setattr(maze_levers, "LEAN", replace(LEAN, agent=agent, **few))
+    names = ["dyna (lean preset)", "model: 3 updates an episode", "model: L1 loss"]
+    arguments = ["--seeds", "2", "--episodes", "32", "--out", str(tmp_path), "--arms", *names]
+    assert replace(maze_levers.LEVERS, real_first=2).main(arguments) == 0
+    text = (tmp_path / "report.md").read_text()
+    assert "over 3 models" in text and (tmp_path / "accuracy.png").exists()
+    arms = json.loads((tmp_path / "results.json").read_text())["arms"]
+    errors = {name: np.mean(arms[name]["model_error"]) for name in names}
+    assert errors["dyna (lean preset)"] < errors["model: 3 updates an episode"] <= 1
+
+
+def test_every_lever_is_told_apart_from_the_preset():
+    arms = maze_levers.levers(maze_levers.LEVERS.default)
+    base, *others = (
+        (arm.dyna.model, arm.config, arm.hparams, arm.dyna.agent) for arm in arms.values()
+    )
+    assert len(arms) > 20 and all(other != base for other in others)

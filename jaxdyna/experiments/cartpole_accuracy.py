@@ -6,9 +6,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -16,17 +15,15 @@ import numpy as np
 
 from jaxdyna import rollout
 from jaxdyna.envs import CartPole
-from jaxdyna.experiments import plots_studies
+from jaxdyna.experiments.accuracy import AccuracyReport, Measure, judged_on
 from jaxdyna.experiments.cartpole import make_arms
 from jaxdyna.experiments.cartpole_options import PAPER
-from jaxdyna.experiments.report import Results
-from jaxdyna.experiments.run import Arm, ArmRun
-from jaxdyna.experiments.variants import Curves, VariantOptions, Variants, VariantsReport
-from jaxdyna.statistics import r_squared, rank_correlation
+from jaxdyna.experiments.run import Arm
+from jaxdyna.experiments.variants import Curves, VariantOptions, Variants
+from jaxdyna.statistics import r_squared
 from jaxdyna.types import Key, Transition
 
 SHORT = "fake episodes of at most"
-JUDGED_EPISODES = 100
 COMMON = (0.0, 0.3, 1.0)
 
 
@@ -85,84 +82,27 @@ def common_transitions(count: int = 400) -> Transition:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *drawn)
 
 
-def judged_on(common: Transition, arm: Arm) -> Arm:
-    """The arm with its model judged on the common transitions instead of on its own episodes."""
-    judge = arm.dyna.diagnose
-    assert judge is not None
-    return arm._replace(
-        dyna=arm.dyna._replace(diagnose=lambda params, _, key: judge(params, common, key))
-    )
+def unexplained(metrics: Curves, judged: slice) -> np.ndarray | None:
+    """The share of the variance of a step's change that a model leaves unexplained one step ahead,
+    averaged over the state's variables, ``[seeds]``; None without a model.
+    """
+    if "state_error" not in metrics:
+        return None
+    names = ("state_error", "change_sum", "change_square", "count")
+    sums = [metrics[name][:, judged].sum(1) for name in names]
+    return (1 - r_squared(*sums)).mean(-1)
 
 
-class AccuracyReport(VariantsReport):
-    """The table of variants, and solving against the model's error."""
-
-    def analyse(self, arm: Arm, run: ArmRun, key: jax.Array) -> Curves:
-        """``unexplained``, one a seed: the share of the variance of a step's change that the model
-        does not explain, one step ahead on `common_transitions`, over the first `JUDGED_EPISODES`
-        with dreams, averaged over the state's variables.
-        """
-        if "state_error" not in run.metrics:
-            return {}
-        start = self.variants.real_first - 1
-        after = slice(start, start + JUDGED_EPISODES)
-        names = ("state_error", "change_sum", "change_square", "count")
-        sums = [run.metrics[name][:, after].sum(1) for name in names]
-        return {"unexplained": (1 - r_squared(*sums)).mean(-1)}
-
-    def describe(self, curves: Curves) -> Results:
-        """With ``model_error``, one a seed, see `analyse`."""
-        described = super().describe(curves)
-        if "unexplained" in curves:
-            described["model_error"] = curves["unexplained"].tolist()
-        return described
-
-    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
-        """``variants.png`` and ``accuracy.png``."""
-        super().figures(out, curves)
-        judged = {name: values for name, values in curves.items() if "unexplained" in values}
-        lines = {
-            name: np.minimum(self.solved_at(curves[name]), self.limit).mean()
-            for name in ("true environment as the model", "model-free")
-            if name in curves
-        }
-        plots_studies.error_scatter(
-            out / "accuracy.png",
-            {name: values["unexplained"] for name, values in judged.items()},
-            {
-                name: np.minimum(self.solved_at(values), self.limit)
-                for name, values in judged.items()
-            },
-            lines,
-            self.limit,
-            hollow=[name for name in judged if name.startswith(SHORT)],
-        )
-
-    def markdown(self, results: Results) -> str:
-        """The report."""
-        errors, solved = [], []
-        for name, arm in results["arms"].items():
-            if "model_error" in arm and not name.startswith(SHORT):
-                errors.append(arm["model_error"])
-                solved.append(self._bounded(arm))
-        if len(errors) < 3:
-            return super().markdown(results)
-        rank, low, high = rank_correlation(np.array(errors), np.array(solved))
-        text = f"""
-## Solving against the model's error
-
-![episodes to solve against the model's error](accuracy.png)
-
-The error is the share of the variance of a step's change that the model leaves unexplained, one
-step ahead, over the first {JUDGED_EPISODES} episodes with dreams. Every model is judged on the same
-new transitions: a third each from a controller that balances the pole, from one with 30% of its
-actions at random, and from random actions alone. Rank correlation of mean error and mean episodes
-to solve over {len(errors)} models (shorter dreams apart, hollow in the figure, which are no error):
-{rank:.2f} (95% percentile bootstrap over seeds {low:.2f} to {high:.2f}). 1 would be the paper's
-claim without exception.
-"""
-        return super().markdown(results) + text
-
+MEASURE = Measure(
+    error=unexplained,
+    axis="unexplained share of a step's change (logarithmic)",
+    said="The error is the share of the variance of a step's change that the model leaves "
+    "unexplained, one step ahead. Every model is judged on the same new transitions: a third each "
+    "from a controller that balances the pole, from one with 30% of its actions at random, and "
+    "from random actions alone.",
+    lines=("true environment as the model", "model-free"),
+    hollow=SHORT,
+)
 
 ACCURACY = Variants(
     experiment="cartpole_accuracy",
@@ -171,7 +111,7 @@ ACCURACY = Variants(
     make=degradations,
     rule=PAPER.rule,
     real_first=PAPER.real_first,
-    report=AccuracyReport,
+    report=partial(AccuracyReport, measure=MEASURE),
 )
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxdyna import frame_replay, memory
+from jaxdyna import frame_replay, losses, memory
 from jaxdyna.agents import DQNConfig, dqn
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, Metrics
 from jaxdyna.envs import FrameStack, Maze, MazeParams
@@ -30,6 +30,7 @@ from jaxdyna.experiments.run import Arm
 from jaxdyna.experiments.session import Session
 from jaxdyna.frame_replay import FrameReplay
 from jaxdyna.models import LearnedEnvironment, LearnedParams, PixelConfig, pixels
+from jaxdyna.models.evaluation import frame_errors
 from jaxdyna.networks import LocalDynamics
 from jaxdyna.planners import solve_maze
 from jaxdyna.types import Key, Transition
@@ -43,6 +44,7 @@ class Parts(NamedTuple):
     maze: Maze
     agent: DQNConfig
     widths: tuple[int, ...]
+    loss: str
     steps: int
 
 
@@ -52,7 +54,8 @@ def make_dyna(parts: Parts) -> Dyna:
     env = FrameStack(parts.maze)
     shape = (parts.maze.size, parts.maze.size, 3)
     agent = dqn(shape, env.num_actions, parts.agent)
-    model = pixels(shape, env.num_actions, PixelConfig(LocalDynamics(3, parts.widths)))
+    config = PixelConfig(LocalDynamics(3, parts.widths), getattr(losses, parts.loss))
+    model = pixels(shape, env.num_actions, config)
     learned = LearnedEnvironment(env, model.predict, draw_stack)
 
     def learned_params(state: DynaState, hparams: DynaHParams) -> LearnedParams:
@@ -67,7 +70,8 @@ def make_dyna(parts: Parts) -> Dyna:
         return behaviour(parts.maze, parts.steps, real, begun, params)
 
     kept = memory.frames(lambda rest: jnp.stack([rest["reward"] < 0, rest["reward"] > 0]))
-    return Dyna(env, agent, model, Dream(learned, learned_params), watch=watch, memory=kept)
+    dream, errors = Dream(learned, learned_params), frame_errors(model.predict)
+    return Dyna(env, agent, model, dream, errors, watch, kept)
 
 
 def draw_stack(key: Key, held: FrameReplay) -> jax.Array:
@@ -110,10 +114,11 @@ def make_arms(options: Options) -> dict[str, Arm]:
     true maze, as many steps of them as the others dream.
     """
     maze = Maze(options.size, options.obstacles)
-    dyna = make_dyna(Parts(maze, agent_config(options), tuple(options.model_widths), options.steps))
+    widths, loss = tuple(options.model_widths), options.model_loss
+    dyna = make_dyna(Parts(maze, agent_config(options), widths, loss, options.steps))
     config, hparams = dyna_config(options), options.hparams
     hparams = replace(hparams, env=replace(hparams.env, max_steps=options.steps))
-    alone = dyna._replace(model=None, dream=None)
+    alone = dyna._replace(model=None, dream=None, diagnose=None)
     oracle = alone._replace(dream=Dream(dyna.env, lambda _, hparams: hparams.env))
     whole = max(1, options.dream_episodes * options.dream_steps // options.steps)
     return {

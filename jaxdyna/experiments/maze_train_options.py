@@ -66,6 +66,10 @@ class Options:
     """Transitions in each."""
     model_widths: tuple[int, ...] = (32, 32)
     """Channels of the model's 3x3 convolutions."""
+    model_loss: Literal["bce", "l2", "l1"] = "bce"
+    """Of its pixels."""
+    replay_capacity: int | None = None
+    """Newest real transitions that the model learns from and dreams begin at; None: all."""
     rare_share: float | None = 0.25
     """At least this share of each model batch are collisions and goal steps; None: as they come."""
     dream_updates: int = 1
@@ -122,6 +126,7 @@ def dyna_config(options: Options) -> DynaConfig:
         dream_episodes=options.dream_episodes,
         dream_steps=options.dream_steps,
         rare_share=options.rare_share,
+        replay_capacity=options.replay_capacity,
     )
 
 

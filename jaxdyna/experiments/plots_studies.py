@@ -47,6 +47,7 @@ def error_scatter(
     solved_at: Mapping[str, np.ndarray],
     lines: Mapping[str, float],
     limit: int,
+    axis: str,
     hollow: Sequence[str] = (),
 ) -> None:
     """Episodes to solve against a model's error: a number a setting, with bootstrap intervals.
@@ -57,6 +58,7 @@ def error_scatter(
         solved_at: by setting, ``[seeds]``, unsolved at ``limit``.
         lines: levels to draw across, by name.
         limit: what an unsolved run counts as.
+        axis: what ``error`` is.
         hollow: settings that are drawn hollow.
     """
     figure, panel = plt.subplots(figsize=(9.5, 4.8))
@@ -74,7 +76,7 @@ def error_scatter(
         panel.text(0.995, level, name, color="#c0392b", fontsize=7, va="bottom", ha="right",
                    transform=panel.get_yaxis_transform())  # fmt: skip
     panel.set_xscale("log")
-    panel.set_xlabel("unexplained share of a step's change (logarithmic)")
+    panel.set_xlabel(axis)
     panel.set_ylabel(f"episodes to solve (unsolved counted as {limit})")
     handles, labels = panel.get_legend_handles_labels()
     panel.legend(handles, labels, fontsize=7, frameon=False, handlelength=0, markerscale=0,

@@ -59,6 +59,7 @@ class Variants:
         real_first: N, where dreams begin.
         column: which of the Contract's solve figures the table shows.
         block: see `jaxdyna.sweep.sweep`.
+        piece: see `jaxdyna.experiments.run.Runner`.
         report: made of the experiment and its options.
     """
 
@@ -70,6 +71,7 @@ class Variants:
     real_first: int
     column: str = "episodes_to_solve"
     block: int | None = None
+    piece: int | None = None
     report: Callable[[Variants, VariantOptions], VariantsReport] | None = None
 
     @property
@@ -100,6 +102,7 @@ class Variants:
             keys=jax.random.split(jax.random.key(options.seed), options.seeds),
             report=(self.report or VariantsReport)(self, options),
             block=self.block,
+            piece=self.piece,
             slim_above=0,
         )
         return session.run({name: arms[name] for name in options.arms or arms})
@@ -124,7 +127,8 @@ class VariantsReport:
 
     def solved_at(self, curves: Curves) -> np.ndarray:
         """The table's solve figure of each seed, infinity where unsolved."""
-        ends = episodes_to_solve(curves["real_return"], self.variants.rule)
+        rule = self.variants.rule
+        ends = episodes_to_solve(rule.score(curves), rule)
         return (
             ends
             if self.variants.column == "episodes_to_solve"
@@ -179,9 +183,9 @@ class VariantsReport:
         """With the difference to the first row, and the first dreams beside the truth."""
         header, rows = self._table(results)
         arms = list(results["arms"].values())
-        first = self._bounded(arms[0])
+        first = self.bounded(arms[0])
         for row, arm in zip(rows, arms, strict=True):
-            difference = self._bounded(arm) - first
+            difference = self.bounded(arm) - first
             ends = bootstrap_interval(difference, lambda values: values.mean(-1))
             row.append("-" if arm is arms[0] else f"{difference.mean():+.0f} ({interval(ends)})")
             dreams = arm["first_dreams"]
@@ -192,6 +196,7 @@ class VariantsReport:
             )
         return [*header, "difference to the first row", "fake / real return"], rows
 
-    def _bounded(self, arm: Any) -> np.ndarray:
+    def bounded(self, arm: Any) -> np.ndarray:
+        """The table's solve figure of each seed out of ``results.json``, `limit` where unsolved."""
         values = arm[self.variants.column]["per_seed"]
         return np.array([self.limit if value is None else value for value in values], float)

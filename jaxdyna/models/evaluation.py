@@ -89,3 +89,23 @@ def one_step_sums(predict: Predict) -> Callable[[Any, Transition, Key], dict[str
         }
 
     return diagnose
+
+
+def frame_errors(predict: Predict) -> Callable[[Any, Transition, Key], dict[str, jax.Array]]:
+    """A ``diagnose`` for `jaxdyna.dyna.Dyna` where observations are frames.
+
+    Returns:
+        ``diagnose(params, transitions [N, T], key)`` giving the shares of valid transitions whose
+        next frame is predicted wrong anywhere, ``wrong_frames``, and whose reward is by half or
+        more, ``wrong_rewards``.
+    """
+
+    def diagnose(params: Any, transitions: Transition, key: Key) -> dict[str, jax.Array]:
+        prediction = one_step(predict, params, transitions, key)
+        valid = transitions.mask.astype(jnp.float32)
+        frame = (prediction.next_obs != transitions.next_obs).any((-1, -2, -3))
+        reward = jnp.abs(prediction.reward - transitions.reward) >= 0.5
+        shares = {"wrong_frames": frame, "wrong_rewards": reward}
+        return {name: (wrong * valid).sum() / valid.sum() for name, wrong in shares.items()}
+
+    return diagnose

@@ -1,0 +1,140 @@
+"""The ``lean`` preset in the Maze, one thing changed at a time: what it needs, what a worse model
+costs, and whether sample efficiency grows with the model's accuracy (§5).
+
+``python -m jaxdyna.experiments.maze_levers``
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdyna.envs import FrameStack, Maze, MazeParams
+from jaxdyna.envs.maze import MOVES
+from jaxdyna.experiments.accuracy import AccuracyReport, Measure, judged_on
+from jaxdyna.experiments.maze_train import make_arms
+from jaxdyna.experiments.maze_train_options import LEAN, Options
+from jaxdyna.experiments.run import Arm
+from jaxdyna.experiments.variants import Curves, VariantOptions, Variants
+from jaxdyna.rollout import rollout
+from jaxdyna.types import Key, Transition
+
+OTHER = "agent: "
+DRIFT = (0.1, 0.35, 0.35, 0.1, 0.1)
+JUDGED = 2
+
+
+def levers(options: VariantOptions) -> dict[str, Arm]:
+    """Every variant by name, the preset itself first."""
+    base = replace(LEAN, seeds=options.seeds, episodes=options.episodes)
+    common = common_transitions(base)
+    models = {"dyna (lean preset)": base, **worse_models(base)}
+    arms = {name: judged_on(common, make_arms(variant)["dyna"]) for name, variant in models.items()}
+    for name, variant in other_dreams(base).items():
+        arms[OTHER + name] = judged_on(common, make_arms(variant)["dyna"])
+    as_many = base.agent.updates + base.agent.fake_updates
+    controls = make_arms(base)
+    return arms | {
+        "true environment as the model": controls["oracle"],
+        "untrained model (placebo)": judged_on(common, controls["placebo"]),
+        "model-free": controls["model_free"],
+        "model-free, as many updates": make_arms(_agent(base, updates=as_many))["model_free"],
+    }
+
+
+def worse_models(base: Options) -> dict[str, Options]:
+    """What changes the model alone."""
+    variants = {
+        "model: L2 loss": replace(base, model_loss="l2"),
+        "model: L1 loss": replace(base, model_loss="l1"),
+        "model: rare steps as they come": replace(base, rare_share=None),
+        "model: the newest 2,000 transitions only": replace(base, replay_capacity=2000),
+    }
+    for widths in ((8, 8), (4, 4), (32,)):
+        variants[f"model: layers of {widths}"] = replace(base, model_widths=widths)
+    for updates in (30, 10, 3):
+        variants[f"model: {updates} updates an episode"] = replace(base, model_updates=updates)
+    return variants
+
+
+def other_dreams(base: Options) -> dict[str, Options]:
+    """What changes how dreams are used, or the agent, with the same model."""
+    steps = base.dream_episodes * base.dream_steps
+    variants = {f"N = {first}": replace(base, real_first=first) for first in (5, 30)}
+    for length in (1, 2, 20):
+        changed = replace(base, dream_steps=length, dream_episodes=steps // length)
+        variants[f"dreams of {length} step(s), as many steps"] = changed
+    for share in (0.25, 0.75, 0.9):
+        variants[f"{share:.0%} of a batch dreamed"] = _agent_hparams(base, fake_share=share)
+    for updates in (100, 200, 800):
+        name = f"{updates} updates on dreams to {base.agent.updates} on real steps"
+        variants[name] = _agent(base, fake_updates=updates)
+    return variants | {
+        "draws all alike": _agent_hparams(base, priority_exponent=0.0),
+        "three convolutions for a network": replace(base, network="convolutions"),
+    }
+
+
+def _agent(base: Options, **changes: Any) -> Options:
+    return replace(base, agent=replace(base.agent, **changes))
+
+
+def _agent_hparams(base: Options, **changes: Any) -> Options:
+    agent = replace(base.hparams.agent, **changes)
+    return replace(base, hparams=replace(base.hparams, agent=agent))
+
+
+def common_transitions(options: Options) -> Transition:
+    """The same new transitions for every model, ``[2 * JUDGED, T]``: episodes of a uniformly random
+    policy, and of one that drifts to the goal.
+    """
+    env = FrameStack(Maze(options.size, options.obstacles))
+    params = MazeParams(max_steps=options.steps)
+
+    def play(key: Key, odds: jax.Array) -> Transition:
+        def act(obs: jax.Array, key: Key) -> jax.Array:
+            return jax.random.categorical(key, jnp.log(odds))
+
+        return rollout(env, act, key, params, JUDGED, num_steps=options.steps)
+
+    keys = jax.random.split(jax.random.key(2**20), 2)
+    odds = jnp.array([len(MOVES) * [1 / len(MOVES)], DRIFT])
+    played = jax.jit(jax.vmap(play))(keys, odds)
+    return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *leaf.shape[2:]), played)
+
+
+def wrong_frames(metrics: Curves, judged: slice) -> np.ndarray | None:
+    """The share of frames predicted wrong, ``[seeds]``; None without a model."""
+    return metrics["wrong_frames"][:, judged].mean(1) if "wrong_frames" in metrics else None
+
+
+MEASURE = Measure(
+    error=wrong_frames,
+    axis="share of frames predicted wrong (logarithmic)",
+    said="The error is the share of frames that are predicted wrong anywhere, one step ahead. "
+    "Every model is judged on the same new episodes: half of a uniformly random policy, half of "
+    "one that drifts to the goal.",
+    lines=("true environment as the model", "model-free"),
+    hollow=OTHER,
+)
+LEVERS = Variants(
+    experiment="maze_levers",
+    title="What does lean need in the Maze, and how good must its model be?",
+    default=VariantOptions(preset="lean", seeds=4, episodes=150),
+    make=levers,
+    rule=LEAN.rule,
+    real_first=LEAN.real_first,
+    column="first_solved",
+    block=1,
+    piece=10,
+    report=partial(AccuracyReport, measure=MEASURE),
+)
+
+if __name__ == "__main__":
+    sys.exit(LEVERS.main())
