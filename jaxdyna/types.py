@@ -121,9 +121,10 @@ class Prediction(NamedTuple):
         next_obs: ``[*obs]``.
         reward: scalar.
         terminated: probability that the step ends the episode, a scalar in [0, 1].
-        disagreement: standard deviation over the members of an ensemble of what they predict of
-            the state, in units of that target's standard deviation over the data, the largest of
-            all variables: a scalar; 0 for a single model.
+        disagreement: how little the model trusts itself, a scalar. Of an ensemble the standard
+            deviation over its members of what they predict of the state, in units of that target's
+            standard deviation over the data, the largest of all variables; of frames the number of
+            pixels that it expects to be wrong; of a single model of vectors 0.
     """
 
     next_obs: jax.Array

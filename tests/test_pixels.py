@@ -103,6 +103,18 @@ def test_drawn_pixels_come_as_often_as_they_are_believed_in(episodes):
     np.testing.assert_allclose((drawn[..., 9:] > 0).mean(0), believed, atol=0.05)
 
 
+@pytest.mark.parametrize("threshold", [0.2, 0.5])
+def test_a_model_says_how_many_pixels_it_expects_to_be_wrong(threshold, episodes):
+    config = PixelConfig(LOCAL, threshold=threshold)
+    model = pixels((SIZE, SIZE, 3), 5, config)
+    params = jax.jit(model.init)(jax.random.key(3), PixelHParams()).params
+    obs, action = episodes.obs[0, 3], episodes.action[0, 3]
+    prediction = model.predict(params, obs, action, jax.random.key(4))
+    believed = np.asarray(frame_probability(5, config)(params, obs[None], action[None])[0])
+    wrong = np.where(believed > threshold, 1 - believed, believed).sum()
+    np.testing.assert_allclose(prediction.disagreement, wrong, rtol=1e-4)
+
+
 def test_local_dynamics_see_the_edge_and_the_neighbourhood_only():
     blank = jnp.zeros((1, 8, 8, 12))
     params = jax.jit(lambda key: LOCAL.init(key, blank, jnp.zeros((1, 5)), False))(

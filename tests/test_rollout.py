@@ -19,7 +19,15 @@ from parts import (
 
 from jaxdyna import rollout
 from jaxdyna.envs import CartPole
-from jaxdyna.models import LearnedEnvironment, LearnedParams, sample_rule, threshold_rule
+from jaxdyna.models import (
+    LearnedEnvironment,
+    LearnedParams,
+    doubtful,
+    probability_rule,
+    sample_rule,
+    threshold_rule,
+)
+from jaxdyna.types import Prediction
 
 PARAMS = ENV.default_params
 
@@ -107,6 +115,22 @@ def test_dreams_end_by_the_threshold_and_the_horizon():
         np.testing.assert_array_equal(episodes.mask.sum(1), [length] * 3)
     assert LEARNED.num_actions == 2
     assert LEARNED.observation_space(params) == ENV.observation_space(PARAMS)
+
+
+def test_dreams_are_broken_off_in_doubt():
+    def predict(params, obs, action, key):
+        obs = obs + 1
+        return Prediction(obs, jnp.float32(1), jnp.float32(0.9), obs[0])
+
+    world = LearnedEnvironment(
+        ENV, predict, lambda key, start: start, probability_rule, truncates=doubtful
+    )
+    for doubt, end, length in ((3.0, 1.0, 4), (3.0, 0.5, 1), (np.inf, 1.0, 9)):
+        params = LearnedParams(None, jnp.zeros(4), end, doubt, max_steps=9)
+        episodes = rollout(world, random_act, jax.random.key(1), params, 2)
+        np.testing.assert_array_equal(episodes.mask.sum(1), [length] * 2)
+        last = episodes.terminated[:, length - 1], episodes.truncated[:, length - 1]
+        np.testing.assert_array_equal(last, [[end < 0.9] * 2, [end == 1.0] * 2])
 
 
 def test_jit_is_eager_and_rows_do_not_depend_on_each_other():

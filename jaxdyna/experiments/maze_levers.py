@@ -75,7 +75,9 @@ def other_dreams(base: Options) -> dict[str, Options]:
     for updates in (100, 200, 800):
         name = f"{updates} updates on dreams to {base.agent.updates} on real steps"
         variants[name] = _agent(base, fake_updates=updates)
+    doubt = replace(base.hparams, disagreement_threshold=0.5)
     return variants | {
+        "dreams broken off where half a pixel is in doubt": replace(base, hparams=doubt),
         "draws all alike": _agent_hparams(base, priority_exponent=0.0),
         "three convolutions for a network": replace(base, network="convolutions"),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,7 +30,14 @@ from jaxdyna.experiments.maze_train_report import MazeReport
 from jaxdyna.experiments.run import Arm
 from jaxdyna.experiments.session import Session
 from jaxdyna.frame_replay import FrameReplay
-from jaxdyna.models import LearnedEnvironment, LearnedParams, PixelConfig, pixels
+from jaxdyna.models import (
+    LearnedEnvironment,
+    LearnedParams,
+    PixelConfig,
+    doubtful,
+    pixels,
+    probability_rule,
+)
 from jaxdyna.models.evaluation import frame_errors
 from jaxdyna.networks import LocalDynamics
 from jaxdyna.planners import solve_maze
@@ -56,13 +64,14 @@ def make_dyna(parts: Parts) -> Dyna:
     agent = dqn(shape, env.num_actions, parts.agent)
     config = PixelConfig(LocalDynamics(3, parts.widths), getattr(losses, parts.loss))
     model = pixels(shape, env.num_actions, config)
-    learned = LearnedEnvironment(env, model.predict, draw_stack)
+    learned = LearnedEnvironment(env, model.predict, draw_stack, probability_rule, doubtful)
 
     def learned_params(state: DynaState, hparams: DynaHParams) -> LearnedParams:
         return LearnedParams(
             model=state.model.params,
             start=state.replay,
             termination_threshold=hparams.termination_threshold,
+            disagreement_threshold=hparams.disagreement_threshold,
             max_steps=hparams.env.max_steps,
         )
 
@@ -118,13 +127,14 @@ def make_arms(options: Options) -> dict[str, Arm]:
     dyna = make_dyna(Parts(maze, agent_config(options), widths, loss, options.steps))
     config, hparams = dyna_config(options), options.hparams
     hparams = replace(hparams, env=replace(hparams.env, max_steps=options.steps))
+    untrained = replace(hparams, model_trains=False, disagreement_threshold=math.inf)
     alone = dyna._replace(model=None, dream=None, diagnose=None)
     oracle = alone._replace(dream=Dream(dyna.env, lambda _, hparams: hparams.env))
     whole = max(1, options.dream_episodes * options.dream_steps // options.steps)
     return {
         "model_free": Arm(alone, config, hparams),
         "dyna": Arm(dyna, config, hparams),
-        "placebo": Arm(dyna, config, replace(hparams, model_trains=False)),
+        "placebo": Arm(dyna, config, untrained),
         "oracle": Arm(oracle, replace(config, dream_episodes=whole, dream_steps=None), hparams),
     }
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from jaxdyna.experiments.maze_train_cost import PARTS
 from jaxdyna.experiments.maze_train_options import Options
 from jaxdyna.experiments.report import Results, interval, markdown_table
@@ -16,6 +18,12 @@ def method(options: Options) -> str:
         "as they come"
         if options.rare_share is None
         else (f"collisions and goal steps at least {options.rare_share / 2:g} of them each")
+    )
+    doubt = options.hparams.disagreement_threshold
+    cut = (
+        f", broken off where the model expects more than {doubt:g} wrong pixels"
+        if doubt < math.inf
+        else ""
     )
     network = {
         "convolutions": f"convolutions of {options.convolutions} channels and a dense layer of "
@@ -37,11 +45,12 @@ def method(options: Options) -> str:
             f"{hparams.epsilon_hold:g} episodes, which falls to {hparams.epsilon_last:g} in "
             f"{hparams.epsilon_episodes:g} more; what is random leans to directions that are drawn "
             f"for each episode (log odds of {agent.drift:g} standard deviation(s)).",
-            f"- Model: 3x3 convolutions of {options.model_widths} channels; after every real "
+            f"- Model: 3x3 convolutions of {options.model_widths} channels, loss "
+            f"{options.model_loss}; after every real "
             f"episode {options.model_updates} updates on batches of {options.model_batch}, {rare}.",
             f"- Dreams: from real episode {options.real_first} on, after each, "
             f"{options.dream_updates} x {options.dream_episodes} of {options.dream_steps} steps, "
-            "each from any real stack of frames, a share "
+            f"each from any real stack of frames{cut}, a share "
             f"{hparams.epsilon_fake:g} of their actions random; then {agent.fake_updates} updates, "
             f"a share {hparams.fake_share:g} of each batch dreamed.",
         ]

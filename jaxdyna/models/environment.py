@@ -23,8 +23,8 @@ class LearnedParams:
         start: what the function that draws start states takes.
         termination_threshold: the probability of the end above which a fake episode terminates
             (`threshold_rule`).
-        disagreement_threshold: how far the members of an ensemble may be apart before a fake
-            episode terminates (`threshold_rule`), in the units of `Prediction.disagreement`.
+        disagreement_threshold: how far the model may mistrust itself before a fake episode
+            ends (`threshold_rule`, `doubtful`), in the units of `Prediction.disagreement`.
         max_steps: steps until truncation.
     """
 
@@ -53,6 +53,25 @@ def threshold_rule(prediction: Prediction, params: LearnedParams, key: Key) -> j
     return ends | (prediction.disagreement > params.disagreement_threshold)
 
 
+def probability_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
+    """Terminates where the predicted probability exceeds ``params.termination_threshold``."""
+    del key
+    return prediction.terminated > params.termination_threshold
+
+
+def doubtful(prediction: Prediction, params: LearnedParams) -> jax.Array:
+    """Whether the model mistrusts a prediction by more than ``params.disagreement_threshold``. To
+    truncate there keeps dreams to where the model is good (Pan et al. 2020) and calls it no end.
+    """
+    return prediction.disagreement > params.disagreement_threshold
+
+
+def never(prediction: Prediction, params: LearnedParams) -> jax.Array:
+    """Trusts every prediction."""
+    del prediction, params
+    return jnp.bool_(False)
+
+
 def sample_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
     """Terminates with the predicted probability."""
     del params
@@ -79,12 +98,15 @@ class LearnedEnvironment:
         predict: a model's ``predict``.
         start: ``(key, params.start) -> obs``: where fake episodes begin.
         terminates: ``(prediction, params, key) -> bool``: when they end.
+        truncates: ``(prediction, params) -> bool``: when they are broken off before
+            ``params.max_steps``.
     """
 
     real: Environment
     predict: Callable[[Any, jax.Array, jax.Array, Key], Prediction]
     start: Callable[[Key, Any], jax.Array]
     terminates: Callable[[Prediction, LearnedParams, Key], jax.Array] = threshold_rule
+    truncates: Callable[[Prediction, LearnedParams], jax.Array] = never
 
     @property
     def default_params(self) -> LearnedParams:
@@ -110,7 +132,7 @@ class LearnedEnvironment:
         next_obs = prediction.next_obs.astype(state.obs.dtype)
         state = LearnedState(next_obs, state.time + 1)
         terminated = self.terminates(prediction, params, key_end)
-        truncated = state.time >= params.max_steps
+        truncated = (state.time >= params.max_steps) | self.truncates(prediction, params)
         info = {"prediction": prediction}
         return state.obs, state, prediction.reward, terminated, truncated, info
 

@@ -110,11 +110,12 @@ def pixels(
         outcome: Any = module.apply(params, features, frame, method="outcome")
         reward, _, logit = outcome
         lit = (frame[0] * 255).astype(obs.dtype)
+        sure = jnp.where(frame > 0, believed, 1 - believed)
         return Prediction(
             next_obs=jnp.concatenate([obs[..., channels:], lit], axis=-1),
             reward=reward[0],
             terminated=jax.nn.sigmoid(logit[0]),
-            disagreement=jnp.float32(0),
+            disagreement=(1 - sure).sum(),
         )
 
     def update(
