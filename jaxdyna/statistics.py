@@ -207,17 +207,24 @@ def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float,
         right: the same shape, from the same seeds.
 
     Returns:
-        The correlation and the ends of its 95% bootstrap interval over seeds.
+        The correlation, 0 where one of them is the same in every setting, and the ends of its 95%
+        bootstrap interval over seeds.
     """
 
     def correlate(rows):
-        ranks = [values[:, rows].mean(1).argsort().argsort() for values in (left, right)]
-        return np.corrcoef(*ranks)[0, 1]
+        ranks = [_ranks(values[:, rows].mean(1)) for values in (left, right)]
+        return np.corrcoef(*ranks)[0, 1] if all(np.ptp(row) > 0 for row in ranks) else 0.0
 
     seeds = left.shape[1]
     draws = np.random.default_rng(0).integers(0, seeds, (2000, seeds))
     low, high = np.percentile([correlate(rows) for rows in draws], [2.5, 97.5])
     return float(correlate(np.arange(seeds))), float(low), float(high)
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """From 1, equal ones sharing the mean of theirs."""
+    _, where, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return (counts.cumsum() - (counts - 1) / 2)[where]
 
 
 def _row_means(values: np.ndarray) -> np.ndarray:

@@ -112,6 +112,10 @@ def _over_seeds(function: Callable[[Any], PyTree], block: int | None) -> Callabl
         seeds = jax.tree.leaves(argument)[0].shape[0]
         if block is None or block >= seeds:
             return at_once(argument)
+        if seeds % block == 0:  # no copy of what may be large
+            apart = jax.tree.map(lambda leaf: leaf.reshape(-1, block, *leaf.shape[1:]), argument)
+            results = jax.lax.map(at_once, apart)
+            return jax.tree.map(lambda x: x.reshape(seeds, *x.shape[2:]), results)
         blocks = -(-seeds // block)
         # The last block is filled up with copies of the first seeds, which are cut off again.
         rows = (jnp.arange(blocks * block) % seeds).reshape(blocks, block)

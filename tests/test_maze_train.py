@@ -1,25 +1,30 @@
 """Learning to act in the Maze: command line, report, what is measured of an episode."""
 
 import json
+import signal
 from dataclasses import replace
 
 import jax
 import numpy as np
 import pytest
+from parts import assert_same
 
+from jaxdyna.dyna import make_train
 from jaxdyna.envs import FrameStack, Maze, MazeParams
-from jaxdyna.experiments import maze, maze_levers
-from jaxdyna.experiments.maze_train import behaviour
+from jaxdyna.experiments import maze, maze_levers, run
+from jaxdyna.experiments.maze_train import behaviour, make_arms
 from jaxdyna.experiments.maze_train_options import LEAN, PAPER, Options, agent_config
 from jaxdyna.experiments.maze_train_report import replay_frames
+from jaxdyna.experiments.session import JUDGING
 from jaxdyna.experiments.storage import read_curves
+from jaxdyna.models import PixelHParams
 from jaxdyna.planners import solve_maze
 from jaxdyna.rollout import first_states, rollout
 from jaxdyna.statistics import SolveRule, episodes_to_solve
 
 TINY = [
     "--quick", "--seeds", "2", "--episodes", "52", "--size", "4", "--steps", "8",
-    "--real-first", "50", "--model-updates", "1", "--model-batch", "4", "--model-widths", "4",
+    "--real-first", "30", "--model-updates", "1", "--model-batch", "4", "--model-widths", "4",
     "--dream-episodes", "2", "--dream-steps", "3", "--agent.updates", "1",
     "--agent.fake-updates", "1", "--agent.batch", "4", "--arms", "model_free", "dyna",
 ]  # fmt: skip
@@ -50,12 +55,12 @@ def test_it_leaves_what_the_contract_asks_for(finished):
         assert f"({name})" in report and (finished / name).exists()
     curves = read_curves(finished / "curves.npz")
     alone, dyna = curves["model_free"], curves["dyna"]
-    np.testing.assert_array_equal(alone["real_return"][:, :50], dyna["real_return"][:, :50])
+    np.testing.assert_array_equal(alone["real_return"][:, :30], dyna["real_return"][:, :30])
     np.testing.assert_array_equal(alone["oracle_return"], dyna["oracle_return"])
     assert (dyna["real_return"] <= dyna["oracle_return"] + 1e-4).all()
     assert dyna["film_action"].shape == (1, 52, 8)
-    assert np.isnan(dyna["fake_return"][:, :49]).all()
-    assert np.isfinite(dyna["fake_return"][:, 49:]).all()
+    assert np.isnan(dyna["fake_return"][:, :29]).all()
+    assert np.isfinite(dyna["fake_return"][:, 29:]).all()
 
 
 def test_what_is_said_of_an_episode_is_what_happened():
@@ -105,6 +110,10 @@ def test_solve_rule_by_hand():
         (["--agent.batch", "0"], "batch is 0"),
         (["--hparams.env.max-steps", "7"], "--steps"),
         (["--arms"], "--arms"),
+        (["--steps", "30"], "30 steps away"),
+        (["--size", "10", "--model", "paper"], "larger --size"),
+        (["--hparams.agent.priority-exponent", "-1"], "--hparams.agent.priority-exponent"),
+        (["--agent.episodes", "0"], "episodes is 0"),
     ],
 )
 def test_bad_input_is_one_line(arguments, words, capsys):
@@ -115,11 +124,72 @@ def test_bad_input_is_one_line(arguments, words, capsys):
 
 
 def test_replays_are_no_larger_than_a_run_can_fill():
-    config = agent_config(Options(episodes=60, steps=100))
-    assert (config.capacity, config.episodes) == (6000, 60)
+    config = agent_config(Options(episodes=120, steps=50))
+    assert (config.capacity, config.episodes) == (6000, 120)
     assert agent_config(LEAN).capacity == 30_000
     needed = PAPER.dream_episodes * PAPER.dream_steps
     assert agent_config(PAPER).fake_capacity >= needed
+    many = replace(PAPER, dream_episodes=5000, dream_steps=1)
+    assert agent_config(many).fake_episodes >= 5000
+
+
+def test_more_updates_learns_from_real_steps_alone():
+    """Whatever is dreamed, its policy is the same; and dyna's is not."""
+    options = replace(
+        LEAN, size=3, obstacles=1, steps=8, episodes=4, real_first=2, dream_steps=2,
+        dream_episodes=4, model_updates=1, model_widths=(4,),
+        agent=replace(LEAN.agent, updates=2, fake_updates=2, batch=4, fake_capacity=64),
+    )  # fmt: skip
+
+    arms = make_arms(options)
+    assert arms["dyna"][:2] == arms["more_updates"][:2]  # one program
+    train = jax.jit(make_train(*arms["dyna"][:2]))
+
+    def policy(name, **changes):
+        hparams = replace(arms[name].hparams, **changes)
+        state, _ = train(jax.random.key(0), hparams)
+        return state.agent.params, state.agent.steps
+
+    other = PixelHParams(1e-1)
+    params, steps = policy("more_updates")
+    assert_same(policy("more_updates", model=other, model_trains=True)[0], params)
+    assert steps == policy("dyna")[1] == 4 * 2 + 3 * 2
+    dreamed, changed = policy("dyna")[0], policy("dyna", model=other)[0]
+    same = jax.tree.map(lambda a, b: bool((a == b).all()), dreamed, changed)
+    assert not all(jax.tree.leaves(same))
+
+
+def test_final_policies_are_judged_on_starts_that_no_run_has_seen():
+    runs = jax.random.split(jax.random.key(3), 10)
+    judging = jax.random.split(jax.random.fold_in(jax.random.key(3), JUDGING), 10)
+    both = jax.random.key_data(jax.numpy.concatenate([runs, judging]))
+    assert len({tuple(row) for row in np.asarray(both)}) == 20
+
+
+def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatch):
+    """Ctrl-C once there are dreams: replays, priorities and films come back bit for bit."""
+    original = run.Runner.run
+
+    def interrupted_run(self, name, arm, resume=False):
+        report = self.report
+
+        def interrupt(stage, done, total, solved):
+            report(stage, done, total, solved)
+            if (name, stage) == ("dyna", "running") and done >= 32:
+                signal.raise_signal(signal.SIGINT)
+
+        self.report = interrupt
+        return original(self, name, arm, resume)
+
+    arguments = [*TINY, "--out", str(tmp_path), "--arms", "dyna"]
+    with monkeypatch.context() as patch:
+        patch.setattr(run.Runner, "run", interrupted_run)
+        assert maze.main(arguments) == 130
+    assert (tmp_path / "checkpoints" / "dyna").is_dir()
+    assert maze.main([*arguments, "--resume"]) == 0
+    ours, whole = (read_curves(folder / "curves.npz")["dyna"] for folder in (tmp_path, finished))
+    timed = {"cost_seconds", "cost_rate"}
+    assert_same(*({k: v for k, v in arm.items() if k not in timed} for arm in (ours, whole)))
 
 
 def test_levers(tmp_path, monkeypatch):

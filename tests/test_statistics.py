@@ -87,6 +87,10 @@ def test_rank_correlation():
     error = np.array([[1.0, 1.2], [2.0, 2.2], [3.0, 3.1]])
     assert rank_correlation(error, 10 * error) == (1.0, 1.0, 1.0)
     assert rank_correlation(error, -error)[0] == -1.0
+    tied = np.array([[1.0, 1.0], [3.0, 3.0], [3.0, 3.0]])
+    assert rank_correlation(error, tied)[0] == rank_correlation(error[[0, 2, 1]], tied)[0]
+    np.testing.assert_allclose(rank_correlation(error, tied)[0], np.sqrt(3) / 2)
+    assert rank_correlation(error, np.ones((3, 2)))[0] == 0
     noise = np.array([[1.0, 9.0], [5.0, 5.0], [6.0, 2.0]])
     rank, low, high = rank_correlation(error, noise)
     assert -1 <= low <= rank <= high <= 1 and low < high

@@ -98,17 +98,20 @@ def dqn(
     def acting(state: DQNState) -> Any:
         return state.target if config.act_by_target else state.params
 
-    def explore(state: DQNState, obs: jax.Array, key: Key, epsilon: jax.Array) -> jax.Array:
+    def explore(
+        state: DQNState, obs: jax.Array, key: Key, epsilon: jax.Array, odds: jax.Array
+    ) -> jax.Array:
         key_which, key_action = jax.random.split(key)
-        exploratory = jax.random.categorical(key_action, state.drift)
+        exploratory = jax.random.categorical(key_action, odds)
         best = jnp.argmax(values(acting(state), obs[None])[0])
         return jnp.where(jax.random.uniform(key_which) < epsilon, exploratory, best)
 
     def act(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
-        return explore(state, obs, key, epsilon_now(state.episodes, hparams))
+        return explore(state, obs, key, epsilon_now(state.episodes, hparams), state.drift)
 
     def act_fake(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
-        return explore(state, obs, key, jnp.asarray(hparams.epsilon_fake))
+        """Short dreams from anywhere need no direction: exploratory actions are all alike."""
+        return explore(state, obs, key, jnp.asarray(hparams.epsilon_fake), jnp.zeros(num_actions))
 
     def learn(state: DQNState, key: Key, hparams: DQNHParams, updates: int):
         """Gradient steps, and a new direction for the next exploring episode."""

@@ -64,9 +64,9 @@ class DQNConfig:
         episodes: real episodes kept.
         fake_capacity: fake transitions kept.
         fake_episodes: fake episodes kept.
-        drift: standard deviation of the log odds of exploratory actions, drawn anew after every
-            update: an exploring episode keeps its direction, as a random walk does not. 0 for a
-            random walk.
+        drift: standard deviation of the log odds of exploratory actions in real episodes, drawn
+            anew after every update: an exploring episode keeps its direction, as a random walk does
+            not. 0 for a random walk. Dreams explore without.
         optimizer: from a learning rate to an optax transformation.
     """
 
@@ -86,7 +86,8 @@ class DQNConfig:
     optimizer: Callable[[Any], optax.GradientTransformation] = optax.adam
 
     def __post_init__(self) -> None:
-        for name in ("batch", "n_step", "target_period"):
+        sizes = ("capacity", "episodes", "fake_capacity", "fake_episodes")
+        for name in ("batch", "n_step", "target_period", *sizes):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}: it must be at least 1")
         for name in ("updates", "fake_updates", "drift"):

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from jaxdyna.dyna import Dyna
 from jaxdyna.experiments import plots_studies
 from jaxdyna.experiments.report import Results
 from jaxdyna.experiments.run import Arm, ArmRun
@@ -17,16 +18,21 @@ from jaxdyna.experiments.variants import Curves, VariantsReport
 from jaxdyna.statistics import rank_correlation
 from jaxdyna.types import Transition
 
-JUDGED_EPISODES = 100
 
+def judged_on(common: Transition, arms: Mapping[str, Arm]) -> dict[str, Arm]:
+    """The arms, each model judged on the common transitions instead of on its own episodes. Arms of
+    one program stay so.
+    """
+    judged: dict[int, Dyna] = {}
 
-def judged_on(common: Transition, arm: Arm) -> Arm:
-    """The arm with its model judged on the common transitions instead of on its own episodes."""
-    judge = arm.dyna.diagnose
-    assert judge is not None
-    return arm._replace(
-        dyna=arm.dyna._replace(diagnose=lambda params, _, key: judge(params, common, key))
-    )
+    def on_common(dyna: Dyna) -> Dyna:
+        judge = dyna.diagnose
+        if judge is None:
+            return dyna
+        new = dyna._replace(diagnose=lambda params, _, key: judge(params, common, key))
+        return judged.setdefault(id(dyna), new)
+
+    return {name: arm._replace(dyna=on_common(arm.dyna)) for name, arm in arms.items()}
 
 
 class Measure(NamedTuple):
@@ -35,6 +41,7 @@ class Measure(NamedTuple):
     Attributes:
         error: ``(metrics, episodes) -> [seeds]``: mean over such a slice of the real episodes;
             None for an arm without a model.
+        episodes: so many with dreams are judged, no more than every arm plays.
         axis: the figure's.
         said: what it is, in sentences.
         lines: variants without a model, drawn as lines.
@@ -42,6 +49,7 @@ class Measure(NamedTuple):
     """
 
     error: Callable[[Curves, slice], np.ndarray | None]
+    episodes: int
     axis: str
     said: str
     lines: tuple[str, ...]
@@ -55,9 +63,9 @@ class AccuracyReport(VariantsReport):
     measure: Measure
 
     def analyse(self, arm: Arm, run: ArmRun, key: jax.Array) -> Curves:
-        """``judged_error``, one a seed, over the first `JUDGED_EPISODES` with dreams."""
+        """``judged_error``, one a seed, over `Measure.episodes`."""
         start = max(self.variants.real_first - 1, 0)
-        error = self.measure.error(run.metrics, slice(start, start + JUDGED_EPISODES))
+        error = self.measure.error(run.metrics, slice(start, start + self.measure.episodes))
         return {} if error is None else {"judged_error": error}
 
     def describe(self, curves: Curves) -> Results:
@@ -79,6 +87,7 @@ class AccuracyReport(VariantsReport):
             {name: solved[name].mean() for name in self.measure.lines if name in curves},
             self.limit,
             self.measure.axis,
+            self.variants.column.replace("_", " "),
             hollow=[name for name in judged if name.startswith(self.measure.hollow)],
         )
 
@@ -98,9 +107,9 @@ class AccuracyReport(VariantsReport):
 
 ![{axis} against the model's error](accuracy.png)
 
-{self.measure.said} Mean over the first {JUDGED_EPISODES} episodes with dreams. Rank correlation of
-mean error and mean {axis} over {len(errors)} models (those that are hollow in the figure, which are
-no worse, apart): {rank:.2f} (95% percentile bootstrap over seeds {low:.2f} to {high:.2f}). 1 would
-be the paper's claim without exception.
+{self.measure.said} Mean over the first {self.measure.episodes} episodes with dreams. Rank
+correlation of mean error and mean {axis} over {len(errors)} models (those that are hollow in the
+figure, which are no worse, apart): {rank:.2f} (95% percentile bootstrap over seeds {low:.2f} to
+{high:.2f}). 1 would be the paper's claim without exception.
 """
         return super().markdown(results) + text

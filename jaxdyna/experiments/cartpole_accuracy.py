@@ -46,8 +46,7 @@ def degradations(options: VariantOptions) -> dict[str, Arm]:
     controls = make_arms(base)
     common = common_transitions()
     arms["untrained model (placebo)"] = controls["placebo"]
-    arms = {name: judged_on(common, arm) for name, arm in arms.items()}
-    return arms | {
+    return judged_on(common, arms) | {
         "true environment as the model": controls["oracle"],
         "model-free": controls["model_free"],
     }
@@ -95,6 +94,7 @@ def unexplained(metrics: Curves, judged: slice) -> np.ndarray | None:
 
 MEASURE = Measure(
     error=unexplained,
+    episodes=100,
     axis="unexplained share of a step's change (logarithmic)",
     said="The error is the share of the variance of a step's change that the model leaves "
     "unexplained, one step ahead. Every model is judged on the same new transitions: a third each "

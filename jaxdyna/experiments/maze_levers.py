@@ -35,17 +35,17 @@ def levers(options: VariantOptions) -> dict[str, Arm]:
     base = replace(LEAN, seeds=options.seeds, episodes=options.episodes)
     common = common_transitions(base)
     models = {"dyna (lean preset)": base, **worse_models(base)}
-    arms = {name: judged_on(common, make_arms(variant)["dyna"]) for name, variant in models.items()}
+    arms = {name: make_arms(variant)["dyna"] for name, variant in models.items()}
     for name, variant in other_dreams(base).items():
-        arms[OTHER + name] = judged_on(common, make_arms(variant)["dyna"])
-    as_many = base.agent.updates + base.agent.fake_updates
+        arms[OTHER + name] = make_arms(variant)["dyna"]
     controls = make_arms(base)
-    return arms | {
+    arms |= {
+        "untrained model (placebo)": controls["placebo"],
         "true environment as the model": controls["oracle"],
-        "untrained model (placebo)": judged_on(common, controls["placebo"]),
         "model-free": controls["model_free"],
-        "model-free, as many updates": make_arms(_agent(base, updates=as_many))["model_free"],
+        "model-free, as many updates": controls["more_updates"],
     }
+    return judged_on(common, arms)
 
 
 def worse_models(base: Options) -> dict[str, Options]:
@@ -118,6 +118,7 @@ def wrong_frames(metrics: Curves, judged: slice) -> np.ndarray | None:
 
 MEASURE = Measure(
     error=wrong_frames,
+    episodes=35,
     axis="share of frames predicted wrong (logarithmic)",
     said="The error is the share of frames that are predicted wrong anywhere, one step ahead. "
     "Every model is judged on the same new episodes: half of a uniformly random policy, half of "

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxdyna import frame_replay, losses, memory
+from jaxdyna import frame_replay, memory
 from jaxdyna.agents import DQNConfig, dqn
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, Metrics
 from jaxdyna.envs import FrameStack, Maze, MazeParams
@@ -25,6 +25,7 @@ from jaxdyna.experiments.maze_train_options import (
     Options,
     agent_config,
     dyna_config,
+    model_config,
 )
 from jaxdyna.experiments.maze_train_report import MazeReport
 from jaxdyna.experiments.run import Arm
@@ -39,7 +40,6 @@ from jaxdyna.models import (
     probability_rule,
 )
 from jaxdyna.models.evaluation import frame_errors
-from jaxdyna.networks import LocalDynamics
 from jaxdyna.planners import solve_maze
 from jaxdyna.types import Key, Transition
 
@@ -51,8 +51,7 @@ class Parts(NamedTuple):
 
     maze: Maze
     agent: DQNConfig
-    widths: tuple[int, ...]
-    loss: str
+    model: PixelConfig
     steps: int
 
 
@@ -62,8 +61,7 @@ def make_dyna(parts: Parts) -> Dyna:
     env = FrameStack(parts.maze)
     shape = (parts.maze.size, parts.maze.size, 3)
     agent = dqn(shape, env.num_actions, parts.agent)
-    config = PixelConfig(LocalDynamics(3, parts.widths), getattr(losses, parts.loss))
-    model = pixels(shape, env.num_actions, config)
+    model = pixels(shape, env.num_actions, parts.model)
     learned = LearnedEnvironment(env, model.predict, draw_stack, probability_rule, doubtful)
 
     def learned_params(state: DynaState, hparams: DynaHParams) -> LearnedParams:
@@ -120,14 +118,14 @@ def behaviour(
 
 def make_arms(options: Options) -> dict[str, Arm]:
     """The arms by name, each from the same parts. The oracle's dreams are whole episodes of the
-    true maze, as many steps of them as the others dream.
+    true maze, about as many steps of them as the others dream.
     """
     maze = Maze(options.size, options.obstacles)
-    widths, loss = tuple(options.model_widths), options.model_loss
-    dyna = make_dyna(Parts(maze, agent_config(options), widths, loss, options.steps))
+    dyna = make_dyna(Parts(maze, agent_config(options), model_config(options), options.steps))
     config, hparams = dyna_config(options), options.hparams
     hparams = replace(hparams, env=replace(hparams.env, max_steps=options.steps))
     untrained = replace(hparams, model_trains=False, disagreement_threshold=math.inf)
+    all_real = replace(hparams.agent, fake_share=0.0)
     alone = dyna._replace(model=None, dream=None, diagnose=None)
     oracle = alone._replace(dream=Dream(dyna.env, lambda _, hparams: hparams.env))
     whole = max(1, options.dream_episodes * options.dream_steps // options.steps)
@@ -135,6 +133,7 @@ def make_arms(options: Options) -> dict[str, Arm]:
         "model_free": Arm(alone, config, hparams),
         "dyna": Arm(dyna, config, hparams),
         "placebo": Arm(dyna, config, untrained),
+        "more_updates": Arm(dyna, config, replace(untrained, agent=all_real)),
         "oracle": Arm(oracle, replace(config, dream_episodes=whole, dream_steps=None), hparams),
     }
 

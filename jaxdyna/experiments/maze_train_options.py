@@ -11,13 +11,20 @@ from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs import Maze, MazeParams
 from jaxdyna.envs.maze import MOVES
 from jaxdyna.experiments import cli
-from jaxdyna.models import PixelHParams
-from jaxdyna.networks import ConvolutionalQ, GlimpseQ
+from jaxdyna.experiments.maze_options import PAPER as FRAMES
+from jaxdyna.experiments.maze_options import decayed_adam
+from jaxdyna.losses import bce, l1, l2
+from jaxdyna.models import PixelConfig, PixelHParams
+from jaxdyna.networks import ConvolutionalQ, EncoderDecoder, GlimpseQ, JointReward, LocalDynamics
 from jaxdyna.statistics import SolveRule
 
-ArmName = Literal["model_free", "dyna", "placebo", "oracle"]
+ArmName = Literal["model_free", "dyna", "placebo", "oracle", "more_updates"]
 SHARE_OF_ORACLE = 0.95
 WINDOW = 50
+SHARES = (
+    "discount", "epsilon_first", "epsilon_last", "epsilon_fake", "fake_share", "target_rate",
+    "priority_exponent", "importance_exponent",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -27,7 +34,8 @@ class Options:
     part: Literal["train", "model"] = "train"
     """train: learning to act; model: frame prediction alone (a command line of its own)."""
     preset: Literal["paper", "lean"] = "paper"
-    """paper: the paper's protocol. lean: the fewest real episodes."""
+    """paper: the paper's N and a network of convolutions; lean: the fewest real episodes. The
+    report says what is not the paper's."""
     quick: bool = False
     """A look at everything in minutes: two runs on a small board."""
     seeds: int = 10
@@ -37,8 +45,9 @@ class Options:
     episodes: int = 500
     """Real episodes of a run at the most."""
     arms: tuple[ArmName, ...] = ("model_free", "dyna")
-    """model_free, dyna, and the controls: placebo never trains its model, oracle dreams in the true
-    environment."""
+    """model_free, dyna, and the controls: placebo never trains its model; oracle dreams whole
+    episodes in the true environment; more_updates makes dyna's updates, all of them on real
+    transitions."""
     out: Path | None = None
     """Folder for the results; runs/maze-PRESET by default."""
     resume: bool = False
@@ -51,11 +60,11 @@ class Options:
     """How many of them."""
     steps: int = 200
     """Steps of a real episode."""
-    real_first: int = 50
+    real_first: int = 100
     """N of the paper: real episodes before the first dream."""
     network: Literal["convolutions", "glimpse"] = "convolutions"
     """Of all arms' agents. convolutions: three and a dense layer. glimpse: what is around the
-    things that it learns to look for."""
+    places of a few things, at first one of each colour."""
     convolutions: tuple[int, int, int] = (16, 16, 16)
     """Their channels."""
     dense: int = 128
@@ -64,8 +73,11 @@ class Options:
     """Gradient steps of the model after each real episode."""
     model_batch: int = 32
     """Transitions in each."""
+    model: Literal["local", "paper"] = "local"
+    """local: 3x3 convolutions, as --part model --arms lean; paper: Fig. 4, slower and to be trained
+    for much longer."""
     model_widths: tuple[int, ...] = (32, 32)
-    """Channels of the model's 3x3 convolutions."""
+    """Channels of the local model's convolutions."""
     model_loss: Literal["bce", "l2", "l1"] = "bce"
     """Of its pixels."""
     replay_capacity: int | None = None
@@ -94,10 +106,16 @@ class Options:
         if self.hparams.env.max_steps not in (MazeParams().max_steps, self.steps):
             raise ValueError("--hparams.env.max-steps is decided by --steps: leave it out")
         cli.check_numbers(self.hparams, "--hparams", may_be_infinite=["disagreement_threshold"])
-        for name in ("discount", "epsilon_first", "epsilon_last", "epsilon_fake", "fake_share"):
+        for name in SHARES:
             if not 0 <= getattr(self.hparams.agent, name) <= 1:
                 flag = f"--hparams.agent.{name.replace('_', '-')}"
                 raise ValueError(f"{flag} must lie between 0 and 1")
+        if self.steps < 2 * self.size - 1:
+            raise ValueError(
+                f"--steps is {self.steps}: the goal is {2 * self.size - 2} steps away, give it more"
+            )
+        if self.model == "paper" and self.size < sum(FRAMES.kernels) - 2:
+            raise ValueError("--model paper needs a larger --size, or choose --model local")
         if self.dream_steps > self.steps:
             raise ValueError("--dream-steps is more than --steps: a dream is no longer than that")
         for name in ("model_widths", "convolutions"):
@@ -145,8 +163,22 @@ def agent_config(options: Options) -> DQNConfig:
         capacity=max(min(agent.capacity, real), options.steps),
         episodes=min(agent.episodes, options.episodes),
         fake_capacity=max(agent.fake_capacity, fake),
-        fake_episodes=max(agent.fake_episodes, agent.fake_capacity // options.dream_steps),
+        fake_episodes=max(
+            agent.fake_episodes, agent.fake_capacity // options.dream_steps, options.dream_episodes
+        ),
     )
+
+
+def model_config(options: Options) -> PixelConfig:
+    """The model's, as ``--part model`` has it."""
+    loss = {"bce": bce, "l1": l1, "l2": l2}[options.model_loss]
+    if options.model == "local":
+        return PixelConfig(LocalDynamics(3, tuple(options.model_widths)), loss)
+    coder = EncoderDecoder(3, dense=FRAMES.dense)
+    threshold = 0.2 if loss is bce else 0.5
+    optimizer = decayed_adam(FRAMES.paper.weight_decay)
+    weight = FRAMES.paper.reward_weight
+    return PixelConfig(coder, loss, threshold, JointReward(), weight, optimizer=optimizer)
 
 
 PAPER = Options()
@@ -168,4 +200,8 @@ LEAN = replace(
 )
 PRESETS = {"paper": PAPER, "lean": LEAN}
 _FEW: dict[str, Any] = {"quick": True, "seeds": 2, "size": 6, "obstacles": 1, "steps": 40}
-QUICK = {name: replace(preset, **_FEW, episodes=80) for name, preset in PRESETS.items()}
+_FEW |= {"episodes": 80}
+QUICK = {
+    "paper": replace(PAPER, **_FEW, real_first=30),
+    "lean": replace(LEAN, **_FEW),
+}

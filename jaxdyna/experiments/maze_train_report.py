@@ -24,7 +24,7 @@ from jaxdyna.statistics import bootstrap_interval, episodes_to_solve
 
 PAPER = {"model_free": 700.0, "dyna": 250.0}
 PAPER_RATIO = 0.36
-STARTS = 100
+STARTS = 1000
 MEASURES = {
     "collisions": "collisions an episode",
     "time_to_goal": "steps until the goal",
@@ -100,20 +100,25 @@ class MazeReport:
             out / "behaviour.png", {title: arms for title, arms in said.items() if arms}
         )
         for name, arm in curves.items():
-            columns = self._film(arm)
-            plots_frames.film(out / f"film_{name}.gif", columns)
+            columns = self._film(arm, solved_at[name][0])
+            plots_frames.film(out / f"film_{name}.gif", columns, first_step=0)
 
-    def _film(self, curves: Curves) -> dict[str, np.ndarray]:
-        """Real episodes of the first run at stages of its training, by title."""
+    def _film(self, curves: Curves, solved_at: float) -> dict[str, np.ndarray]:
+        """Real episodes of the first run at stages of its training, by title: the last is the one
+        that it solved with, or else the last of all.
+        """
         played = curves["film_action"].shape[1]
+        end = int(min(solved_at, played))
+        titles = {number: f"episode {number}" for number in (*FILMED, end) if number <= end}
+        titles[end] += " (solved)" if solved_at <= played else ""
         columns = {}
-        for number in sorted({n for n in FILMED if n <= played} | {played}):
+        for number, title in sorted(titles.items()):
             placed, headed, done = (
                 curves[f"film_{part}"][0, number - 1]
                 for part in ("obstacles", "directions", "action")
             )
             frames = replay_frames(self.options, placed, headed, done)
-            columns[f"episode {number}"] = frames[:FILM_STEPS]
+            columns[title] = plots_frames.trails(frames[:FILM_STEPS])
         return columns
 
     def markdown(self, results: Results) -> str:
@@ -131,14 +136,15 @@ class MazeReport:
             "![Fig. 8: share of the oracle's return against real episodes](fig8.png)",
             "![share of the runs that have solved](solved.png)",
             "## What is learned, when",
-            "A frame is predicted wrong where any pixel is, one step ahead; each real episode is "
-            "judged before the model learns from it.",
+            "An episode that never comes to the goal counts as one step more than it has. A frame "
+            "is predicted wrong where any pixel is, one step ahead; each real episode is judged "
+            "before the model learns from it.",
             "![collisions, steps until the goal, frames predicted wrong](behaviour.png)",
-            *(f"![real episodes of `{name}`, first run](film_{name}.gif)"
-              for name in results["arms"]),
+            f"Real episodes of the first run, their first {FILM_STEPS} steps:",
+            *(f"![real episodes of {name}](film_{name}.gif)" for name in results["arms"]),
             "## The final policy",
-            f"Greedy, on {STARTS} new starts a run: share of the oracle's return, and collisions "
-            "an episode.",
+            f"Greedy, each run's on {STARTS:,} new starts: share of the oracle's return, and "
+            "collisions an episode.",
             markdown_table(*tables.greedy(results)),
             "## How",
             tables.method(self.options),

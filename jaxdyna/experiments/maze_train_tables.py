@@ -8,6 +8,7 @@ from jaxdyna.experiments.maze_train_cost import PARTS
 from jaxdyna.experiments.maze_train_options import Options
 from jaxdyna.experiments.report import Results, interval, markdown_table
 
+PAPER_N = 100
 Table = tuple[list[str], list[list[str]]]
 
 
@@ -19,6 +20,10 @@ def method(options: Options) -> str:
         if options.rare_share is None
         else (f"collisions and goal steps at least {options.rare_share / 2:g} of them each")
     )
+    model = {
+        "local": f"3x3 convolutions of {options.model_widths} channels",
+        "paper": "the paper's Fig. 4",
+    }[options.model]
     doubt = options.hparams.disagreement_threshold
     cut = (
         f", broken off where the model expects more than {doubt:g} wrong pixels"
@@ -28,7 +33,8 @@ def method(options: Options) -> str:
     network = {
         "convolutions": f"convolutions of {options.convolutions} channels and a dense layer of "
         f"{options.dense}",
-        "glimpse": "glimpses of what is around the things that it learns to look for",
+        "glimpse": "heads that each begin at one colour of the newest frame, its mean place and "
+        "what is around it (a glimpse), and a perceptron",
     }[options.network]
     return "\n".join(
         [
@@ -45,16 +51,38 @@ def method(options: Options) -> str:
             f"{hparams.epsilon_hold:g} episodes, which falls to {hparams.epsilon_last:g} in "
             f"{hparams.epsilon_episodes:g} more; what is random leans to directions that are drawn "
             f"for each episode (log odds of {agent.drift:g} standard deviation(s)).",
-            f"- Model: 3x3 convolutions of {options.model_widths} channels, loss "
-            f"{options.model_loss}; after every real "
+            f"- Model: {model}, loss {options.model_loss}; after every real "
             f"episode {options.model_updates} updates on batches of {options.model_batch}, {rare}.",
             f"- Dreams: from real episode {options.real_first} on, after each, "
             f"{options.dream_updates} x {options.dream_episodes} of {options.dream_steps} steps, "
             f"each from any real stack of frames{cut}, a share "
             f"{hparams.epsilon_fake:g} of their actions random; then {agent.fake_updates} updates, "
-            f"a share {hparams.fake_share:g} of each batch dreamed.",
+            f"a share {hparams.fake_share:g} of each batch dreamed. Once there are dreams, the "
+            "updates after a real episode draw them as well.",
+            "- Controls: `placebo` dreams in a model that is never trained; `oracle` dreams whole "
+            "episodes in the true maze, about as many steps; `more_updates` makes as many updates "
+            "as `dyna`, all of them on real transitions.",
+            f"- Not the paper's, or not said there: {_differences(options)}.",
         ]
     )
+
+
+def _differences(options: Options) -> str:
+    said = [
+        "Double DQN with dueling values, Huber's loss, draws by priority with an importance "
+        f"exponent of {options.hparams.agent.importance_exponent:g}, and acting by the averaged "
+        "network",
+        "directed exploration",
+        "the number of updates (the authors' code makes one a real step)",
+        "several short dreams after each real episode, which begin at replayed frames",
+    ]
+    if options.model == "local":
+        said.append("a model of local convolutions instead of Fig. 4")
+    if options.network == "glimpse":
+        said.append("glimpses instead of convolutions")
+    if options.real_first != PAPER_N:
+        said.append(f"N = {options.real_first} (the paper's is {PAPER_N})")
+    return "; ".join(said)
 
 
 def greedy(results: Results) -> Table:

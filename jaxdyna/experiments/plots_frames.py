@@ -14,6 +14,7 @@ from PIL import Image, ImageDraw
 from jaxdyna.experiments.plots import COLOURS, mean_interval, save
 
 SCALE = 16
+CAPTION_WIDTH = 220
 PAUSE_MS = 160
 
 
@@ -96,17 +97,31 @@ def score_by_horizon(path: Path, scores: Mapping[str, np.ndarray], classes: Sequ
     save(figure, path, top=0.9)
 
 
-def film(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+def trails(frames: np.ndarray, length: int = 4) -> np.ndarray:
+    """A film in which each frame shows the last few, older ones fainter: `trail` of each.
+
+    Args:
+        frames: uint8 ``[T, H, W, 3]``.
+        length: frames that are seen at a time.
+    """
+    padded = np.concatenate([np.repeat(frames[:1], length - 1, axis=0), frames])
+    stacks = [padded[number : number + len(frames)] for number in range(length)]
+    return trail(np.concatenate(stacks, axis=-1)).astype(np.uint8)
+
+
+def film(path: Path, columns: Mapping[str, np.ndarray], first_step: int = 1) -> None:
     """Frames side by side as a GIF that repeats.
 
     Args:
         path: the GIF.
         columns: by title uint8 ``[T, H, W, 3]``, all of one length.
+        first_step: the number of the first frame.
     """
     pictures = []
     for time in range(len(next(iter(columns.values())))):
         parts = [
-            _captioned(frames[time], f"{name}, step {time + 1}") for name, frames in columns.items()
+            _captioned(frames[time], f"{name}, step {time + first_step}")
+            for name, frames in columns.items()
         ]
         gap = np.full((parts[0].shape[0], 12, 3), 255, np.uint8)
         joined = [piece for part in parts for piece in (part, gap)][:-1]
@@ -117,7 +132,8 @@ def film(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def _captioned(frame: np.ndarray, caption: str) -> np.ndarray:
-    big = frame.repeat(SCALE, axis=0).repeat(SCALE, axis=1)
+    scale = max(SCALE, CAPTION_WIDTH // frame.shape[1])
+    big = frame.repeat(scale, axis=0).repeat(scale, axis=1)
     head = Image.new("RGB", (big.shape[1], 18), "white")
     ImageDraw.Draw(head).text((2, 3), caption, fill="black")
     return np.concatenate([np.asarray(head), big])

@@ -48,6 +48,7 @@ def error_scatter(
     lines: Mapping[str, float],
     limit: int,
     axis: str,
+    solved: str,
     hollow: Sequence[str] = (),
 ) -> None:
     """Episodes to solve against a model's error: a number a setting, with bootstrap intervals.
@@ -59,6 +60,7 @@ def error_scatter(
         lines: levels to draw across, by name.
         limit: what an unsolved run counts as.
         axis: what ``error`` is.
+        solved: what ``solved_at`` is.
         hollow: settings that are drawn hollow.
     """
     figure, panel = plt.subplots(figsize=(9.5, 4.8))
@@ -77,7 +79,7 @@ def error_scatter(
                    transform=panel.get_yaxis_transform())  # fmt: skip
     panel.set_xscale("log")
     panel.set_xlabel(axis)
-    panel.set_ylabel(f"episodes to solve (unsolved counted as {limit})")
+    panel.set_ylabel(f"{solved} (unsolved counted as {limit})")
     handles, labels = panel.get_legend_handles_labels()
     panel.legend(handles, labels, fontsize=7, frameon=False, handlelength=0, markerscale=0,
                  loc="center left", bbox_to_anchor=(1.0, 0.5))  # fmt: skip

@@ -37,6 +37,8 @@ from jaxdyna.experiments.storage import (
 from jaxdyna.statistics import SolveRule
 
 Curves = dict[str, np.ndarray]
+JUDGING = 2**32 - 1
+"""Folded into the base seed's key: the runs' own keys are its first splits."""
 NOT_SETTINGS = ("arms", "out", "resume")
 
 
@@ -142,7 +144,7 @@ class Session:
                 runner.report = bars.reporter(name)
                 done = runner.run(name, arm, resume=self.options.resume)
                 bars.add_note(name, "judging the model")
-                key = jax.random.fold_in(jax.random.key(self.options.seed), 1)
+                key = jax.random.fold_in(jax.random.key(self.options.seed), JUDGING)
                 curves[name] = slim(
                     done.metrics | self.report.analyse(arm, done, key), self.slim_above
                 )

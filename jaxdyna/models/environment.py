@@ -61,7 +61,8 @@ def probability_rule(prediction: Prediction, params: LearnedParams, key: Key) ->
 
 def doubtful(prediction: Prediction, params: LearnedParams) -> jax.Array:
     """Whether the model mistrusts a prediction by more than ``params.disagreement_threshold``. To
-    truncate there keeps dreams to where the model is good (Pan et al. 2020) and calls it no end.
+    truncate there keeps dreams to where the model is good and calls it no end; the doubtful step is
+    the last (Pan et al. 2020 leave it out as well).
     """
     return prediction.disagreement > params.disagreement_threshold
 
