@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import sys
 from pathlib import Path
 
 import jax
@@ -11,7 +12,15 @@ import pytest
 from parts import assert_same
 
 from jaxdyna import frame_replay
-from jaxdyna.experiments import maze, maze_frames, maze_judge, maze_model, maze_tables, plots_frames
+from jaxdyna.experiments import (
+    maze,
+    maze_bench,
+    maze_frames,
+    maze_judge,
+    maze_model,
+    maze_tables,
+    plots_frames,
+)
 from jaxdyna.experiments.maze_options import Options, world
 from jaxdyna.experiments.storage import read_curves
 from jaxdyna.rollout import rollout
@@ -204,6 +213,18 @@ def test_the_report_claims_no_more_than_the_runs_show():
         assert f"`lean` is {word}" in maze_tables.blur_said(
             described([1], [1], sure, spilled), "100"
         )
+
+
+def test_the_benchmark_says_what_it_needs_and_compares(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(SystemExit) as stop:
+        maze_bench.main(["--out", str(tmp_path)])
+    assert stop.value.code == 2 and "pip install 'jaxdyna[bench]'" in capsys.readouterr().err
+    header, rows = maze_bench.compared({"ours": [1.0, 2.0, 3.0], "PyTorch": [4.0]}, "PyTorch")
+    assert rows[0] == ["ours", "2.00", "1.50 to 2.50", "0.50"] and len(header) == 4
+    called = []
+    taken = maze_bench.take_turns({name: lambda n=name: called.append(n) for name in "ab"}, 2)
+    assert called == list("baabbaab") and [len(values) for values in taken.values()] == [2, 2]
 
 
 def test_presets_and_stages():

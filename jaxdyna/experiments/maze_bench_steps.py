@@ -1,0 +1,162 @@
+"""The training steps that `jaxdyna.experiments.maze_bench` times, in JAX and in PyTorch."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdyna.agents import DQNConfig, DQNHParams, dqn
+from jaxdyna.models import PixelConfig, PixelHParams, pixels
+from jaxdyna.networks import ConvolutionalQ, GlimpseQ, LocalDynamics
+from jaxdyna.types import Transition
+
+SCANNED = 20
+
+
+def random_batch(size: int) -> Transition:
+    """A batch as the Maze's frames are: few pixels lit."""
+    generator = np.random.default_rng(0)
+    frames = (generator.random((size, 16, 16, 15)) < 0.02).astype(np.uint8) * 255
+    flags = np.zeros(size, bool)
+    fields: Any = {
+        "obs": frames[..., :12],
+        "action": generator.integers(0, 5, size),
+        "reward": generator.integers(-1, 2, size).astype(np.float32),
+        "next_obs": frames[..., 3:],
+        "terminated": flags,
+        "truncated": flags,
+        "mask": ~flags,
+    }
+    return Transition(**fields)
+
+
+def jax_steps(batch: Any, widths: tuple[int, ...]) -> dict[str, Callable[[], Any]]:
+    """`SCANNED` steps, called one by one and as one scan."""
+    model = pixels((16, 16, 3), 5, PixelConfig(LocalDynamics(3, widths)))
+    hparams = PixelHParams()
+    batch = jax.tree.map(jnp.asarray, batch)
+    start = jax.jit(model.init)(jax.random.key(0), hparams)
+
+    @jax.jit
+    def step(state: Any, batch: Any, key: jax.Array) -> Any:
+        return model.update(state, batch, key, hparams)[0]
+
+    @jax.jit
+    def scan(state: Any, batch: Any, keys: jax.Array) -> Any:
+        return jax.lax.scan(lambda state, key: (step(state, batch, key), None), state, keys)[0]
+
+    keys = jax.random.split(jax.random.key(1), SCANNED)
+
+    def alone() -> None:
+        state = start
+        for key in keys:
+            state = step(state, batch, key)
+        jax.block_until_ready(state)
+
+    return {
+        "JAX, step by step": alone,
+        "JAX, in a scan": lambda: jax.block_until_ready(scan(start, batch, keys)),
+    }
+
+
+def torch_steps(batch: Any, widths: tuple[int, ...]) -> Callable[[], None]:
+    """The same steps in PyTorch: same layers, losses and optimiser."""
+    import torch  # noqa: PLC0415  (the bench extra's)
+    from torch import nn  # noqa: PLC0415
+
+    sizes = [13, *widths]
+    layers = nn.ModuleList(
+        [nn.Conv2d(a, b, 3, padding=1) for a, b in zip(sizes, widths, strict=False)]
+    )
+    by_action, last = nn.Linear(5, widths[0]), nn.Conv2d(widths[-1], 3, 1)
+    head = nn.Sequential(nn.Conv2d(3, 16, 1), nn.ReLU(), nn.Conv2d(16, 1, 1, bias=False))
+    parts = nn.ModuleList([layers, by_action, last, head])
+    optimizer = torch.optim.Adam(parts.parameters(), lr=5e-3)
+
+    def picture(frames: np.ndarray) -> Any:
+        return torch.from_numpy(np.ascontiguousarray(frames.transpose(0, 3, 1, 2)))
+
+    obs, truth = picture(batch.obs), picture(batch.next_obs[..., -3:])
+    action = torch.from_numpy(np.eye(5, dtype=np.float32)[batch.action])
+    reward = torch.from_numpy(batch.reward)
+
+    def steps() -> None:
+        for _ in range(SCANNED):
+            seen, target = obs.float() / 255, truth.float() / 255
+            x = torch.cat([seen, torch.ones_like(seen[:, :1])], 1)
+            for number, layer in enumerate(layers):
+                x = layer(x)
+                x = x * by_action(action)[:, :, None, None] if number == 0 else x
+                x = torch.relu(x)
+            raw = last(x)
+            cells = head(target)[:, 0]
+            loss = nn.functional.binary_cross_entropy_with_logits(raw, target, reduction="none")
+            charge = 0.1 * cells.abs().sum((1, 2))
+            error = (cells.sum((1, 2)) - reward) ** 2
+            (loss.sum((1, 2, 3)) + error + charge).mean().backward()
+            optimizer.step()
+            optimizer.zero_grad()
+
+    return steps
+
+
+def jax_q_steps(batch: Any) -> dict[str, Callable[[], Any]]:
+    """`SCANNED` steps of Q-learning in a scan, each drawing its batch from a replay by priority."""
+
+    def of(network: Any) -> Callable[[], Any]:
+        config = DQNConfig(network, updates=SCANNED, batch=len(batch.action), capacity=2**14)
+        agent, hparams = dqn((16, 16, 3), 5, config), DQNHParams()
+        episode = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], batch)
+        start = jax.jit(agent.init)(jax.random.key(0), hparams)
+        learn = jax.jit(lambda state, key: agent.update(state, episode, key, hparams)[0])
+        return lambda: jax.block_until_ready(learn(start, jax.random.key(1)))
+
+    return {"JAX, convolutions": of(ConvolutionalQ(5)), "JAX, glimpses": of(GlimpseQ(5))}
+
+
+def torch_q_steps(batch: Any) -> Callable[[], None]:
+    """The same with the convolutions in PyTorch, where each step is handed its batch."""
+    import torch  # noqa: PLC0415  (the bench extra's)
+    from torch import nn  # noqa: PLC0415
+
+    def network() -> Any:
+        sizes = [48, 16, 16, 16]
+        layers: list[Any] = [nn.PixelUnshuffle(2)]
+        for a, b in itertools.pairwise(sizes):
+            layers += [nn.Conv2d(a, b, 3, padding=1), nn.ReLU()]
+        return nn.Sequential(
+            *layers, nn.Flatten(), nn.Linear(1024, 128), nn.ReLU(), nn.Linear(128, 6)
+        )
+
+    online, target = network(), network()
+    optimizer = torch.optim.Adam(online.parameters(), lr=1e-3)
+
+    def picture(frames: np.ndarray) -> Any:
+        return torch.from_numpy(np.ascontiguousarray(frames.transpose(0, 3, 1, 2)))
+
+    after = np.concatenate([batch.obs[..., 3:], batch.next_obs[..., -3:]], -1)
+    obs, last, reward = picture(batch.obs), picture(after), torch.from_numpy(batch.reward)
+    action = torch.from_numpy(batch.action)[:, None]
+
+    def values(net: Any, frames: Any) -> Any:
+        out = net(frames.float() / 255)
+        return out[:, :1] + out[:, 1:] - out[:, 1:].mean(1, keepdim=True)
+
+    def steps() -> None:
+        for _ in range(SCANNED):
+            with torch.no_grad():
+                choice = values(online, last).argmax(1, keepdim=True)
+                goal = reward + 0.95 * values(target, last).gather(1, choice)[:, 0]
+            nn.functional.huber_loss(values(online, obs).gather(1, action)[:, 0], goal).backward()
+            optimizer.step()
+            optimizer.zero_grad()
+            with torch.no_grad():
+                for old, new in zip(target.parameters(), online.parameters(), strict=True):
+                    old.lerp_(new, 0.005)
+
+    return steps
