@@ -1,8 +1,10 @@
-"""A convolution whose gradient is fast on a CPU inside `jax.lax.scan`.
+"""Convolutions that are fast on a CPU, inside `jax.lax.scan` too.
 
 XLA's CPU backend takes a naive path for the gradient of a convolution inside a loop, tens of times
-slower than outside. Written as a convolution with the flipped kernel (by the input) and as one
-matrix product for each cell of the kernel (by the weights) it costs no more there than outside.
+slower than outside. Here the gradient by the input is a convolution with the flipped kernel, and
+that by the weights is made of matrix products. A convolution that grows the picture (a transposed
+one) is a matrix product too, whose results are spread over the larger picture: there is no
+multiplying by the zeros around it, and few output channels cost little.
 """
 
 from __future__ import annotations
@@ -14,9 +16,30 @@ import jax.numpy as jnp
 
 
 def _forward(x: jax.Array, kernel: jax.Array, padding: int) -> jax.Array:
+    if padding == kernel.shape[0] - 1 > 0:
+        return _spread(x, kernel)
     return jax.lax.conv_general_dilated(
         x, kernel, (1, 1), [(padding, padding)] * 2, dimension_numbers=("NHWC", "HWIO", "NHWC")
     )
+
+
+def _spread(x: jax.Array, kernel: jax.Array) -> jax.Array:
+    """The convolution with ``k - 1`` zeros around: what each cell adds to the ``k x k`` cells that
+    see it, summed by rows, then by columns.
+    """
+    size, _, channels, features = kernel.shape
+    reach, (count, height, width) = size - 1, x.shape[:3]
+    flat = kernel.transpose(2, 0, 1, 3).reshape(channels, -1)
+    parts = (x.reshape(-1, channels) @ flat).reshape(count, height, width, size, size * features)
+
+    def shifted(part: jax.Array, cells: int, axis: int) -> jax.Array:
+        margins = [(0, 0)] * part.ndim
+        margins[axis] = (reach - cells, cells)
+        return jnp.pad(part, margins)
+
+    rows = sum(shifted(parts[:, :, :, row], row, 1) for row in range(size))
+    parts = jnp.asarray(rows).reshape(count, height + reach, width, size, features)
+    return jnp.asarray(sum(shifted(parts[..., column, :], column, 2) for column in range(size)))
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(2,))
@@ -44,16 +67,37 @@ def _gradients(padding, residuals, gradient):
     size = kernel.shape[0]
     flipped = jnp.flip(kernel, (0, 1)).swapaxes(2, 3)
     by_input = _forward(gradient, flipped, size - 1 - padding)
-    padded = jnp.pad(x, ((0, 0), (padding, padding), (padding, padding), (0, 0)))
-    height, width = gradient.shape[1:3]
-    flat = gradient.reshape(-1, gradient.shape[-1])
+    channels, features = kernel.shape[2:]
+    if padding == 0:
+        seen = _windows(x, size, gradient.shape[1:3])
+        by_kernel = gradient.reshape(-1, features).T @ seen.reshape(-1, size**2 * channels)
+        by_kernel = by_kernel.reshape(features, size, size, channels).transpose(1, 2, 3, 0)
+    elif padding == size - 1:
+        seen = _windows(gradient, size, x.shape[1:3])
+        by_kernel = x.reshape(-1, channels).T @ seen.reshape(-1, size**2 * features)
+        by_kernel = by_kernel.reshape(channels, size, size, features).transpose(1, 2, 0, 3)
+        by_kernel = jnp.flip(by_kernel, (0, 1))
+    else:
+        padded = jnp.pad(x, ((0, 0), (padding, padding), (padding, padding), (0, 0)))
+        flat = gradient.reshape(-1, features)
+        cells = [
+            cell.reshape(-1, channels).T @ flat
+            for cell in _cells(padded, size, gradient.shape[1:3])
+        ]
+        by_kernel = jnp.stack(cells).reshape(kernel.shape)
+    return by_input, by_kernel
 
-    def cell(row, column):
-        seen = padded[:, row : row + height, column : column + width]
-        return seen.reshape(-1, seen.shape[-1]).T @ flat
 
-    by_kernel = jnp.stack([cell(row, column) for row in range(size) for column in range(size)])
-    return by_input, by_kernel.reshape(kernel.shape)
+def _cells(x: jax.Array, size: int, shape: tuple[int, ...]) -> list[jax.Array]:
+    """What each cell of a kernel sees of pictures ``[N, H, W, C]``, where it sees ``shape``."""
+    height, width = shape
+    places = [(row, column) for row in range(size) for column in range(size)]
+    return [x[:, row : row + height, column : column + width] for row, column in places]
+
+
+def _windows(x: jax.Array, size: int, shape: tuple[int, ...]) -> jax.Array:
+    """`_cells` beside each other on the channels."""
+    return jnp.concatenate(_cells(x, size, shape), axis=-1)
 
 
 convolve.defvjp(_with_residuals, _gradients)

@@ -19,7 +19,9 @@ from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalRe
 DREAM_FROM = 10
 """Step of a held-out episode from which models dream."""
 
-ModelName = Literal["paper", "paper_l2", "paper_l1", "lean", "lean_l2", "lean_l1"]
+ModelName = Literal[
+    "paper", "paper_l2", "paper_l1", "paper_reward", "lean", "lean_l2", "lean_l1"
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,8 @@ class Options:
     """The stage at which losses are compared, the only one of models with another loss."""
     arms: tuple[ModelName, ...] = ("paper", "lean")
     """paper: Fig. 4 with the multi-label cross-entropy; lean: convolutions throughout; with _l1 and
-    _l2 the same network under another loss, to compare losses and thresholds."""
+    _l2 the same network under another loss, to compare losses and thresholds; with _reward Fig. 4
+    and a reward head."""
     out: Path | None = None
     """Folder for the results; runs/maze-model by default."""
     resume: bool = False
@@ -101,7 +104,8 @@ class Options:
     """Channels of our 3x3 convolutions."""
     reward: Literal["own", "joint", "local", "none"] = "own"
     """Reward head: joint, off the features of stack and action; local, a sum over cells of the
-    predicted frame; none; own: joint for the paper's model, local for ours."""
+    predicted frame; none; own: none for the paper's models but paper_reward, whose is joint; local
+    for ours."""
     size: int = 16
     """Cells a side of the maze."""
     obstacles: int = 5
@@ -116,7 +120,7 @@ class Options:
     """New episodes that models are judged on."""
     horizon: int = 50
     """Steps of an open-loop dream."""
-    paper: Training = field(default_factory=lambda: Training(6000, 30, 32, 3e-3, 0.4, None, 0.05))
+    paper: Training = field(default_factory=lambda: Training(8000, 40, 32, 3e-3, 0.4, None))
     """Training of the paper's model."""
     lean: Training = field(default_factory=Training)
     """Training of ours."""
@@ -179,7 +183,7 @@ _FEW: dict[str, Any] = {
     "widths": (8, 8, 8),
     "dense": 128,
     "lean_widths": (32, 32),
-    "paper": Training(300, 0, 32, 3e-3, 0.2, None, 0.05),
+    "paper": Training(300, 0, 32, 3e-3, 0.2, None),
     "lean": Training(500, 0, 32, 1e-2),
 }
 QUICK = {
@@ -201,7 +205,7 @@ def config_of(options: Options, arm: str) -> PixelConfig:
     training = training_of(options, arm)
     optimizer = decayed_adam(training.weight_decay)
     weight = training.reward_weight
-    own = "joint" if arm.startswith("paper") else "local"
+    own = {"paper_reward": "joint"}.get(arm, "none" if arm.startswith("paper") else "local")
     head = {"joint": JointReward(), "local": LocalReward(), "none": None}[
         own if options.reward == "own" else options.reward
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -60,11 +60,13 @@ def thresholds(results: Results, stage: str) -> Table:
     ], rows
 
 
-def rewards(results: Results) -> Table:
-    """How many rewards are predicted right, by what the step earned."""
+def rewards(results: Results, arms: Sequence[str]) -> Table:
+    """How many rewards are predicted right by these arms, by what the step earned."""
     rows = []
     for arm, stage, judged in _by_stage(results):
         cells = []
+        if arm not in arms:
+            continue
         for kind in REWARD_KINDS:
             share = judged["reward_right"][kind]
             said = f"{cell(share)} of {share['steps']:,}" if share["steps"] else "no such step"
@@ -133,7 +135,7 @@ def times(results: Results) -> Table:
 
 def loss_of(arm: str) -> str:
     """The loss that an arm's name says."""
-    return arm.partition("_")[2] or "cross-entropy"
+    return {"l1": "l1", "l2": "l2"}.get(arm.partition("_")[2], "cross-entropy")
 
 
 def cell(summary: Results) -> str:

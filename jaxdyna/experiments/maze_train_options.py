@@ -177,8 +177,7 @@ def model_config(options: Options) -> PixelConfig:
     coder = EncoderDecoder(3, dense=FRAMES.dense)
     threshold = 0.2 if loss is bce else 0.5
     optimizer = decayed_adam(FRAMES.paper.weight_decay)
-    weight = FRAMES.paper.reward_weight
-    return PixelConfig(coder, loss, threshold, JointReward(), weight, optimizer=optimizer)
+    return PixelConfig(coder, loss, threshold, JointReward(), optimizer=optimizer)
 
 
 PAPER = Options()
