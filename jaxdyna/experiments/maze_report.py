@@ -20,8 +20,8 @@ from jaxdyna.experiments.report import Results, markdown_table
 
 OURS = (
     "Not in the paper: the number of channels (the authors' code has 128), weight decay and the "
-    "cosine, an action's factor of the product that starts scattered "
-    "around 1, nothing nonlinear between the dense layers and the product"
+    "cosine, an action's factor of the product that starts scattered around 1, nothing nonlinear "
+    "between the dense layers and the product"
 )
 Judged = Mapping[str, np.ndarray]
 Curves = Mapping[str, Judged]
@@ -76,8 +76,8 @@ def markdown(results: Results, options: Options, curves: Curves, out: Path) -> s
         "will go. Mean over runs and 95% interval.",
         markdown_table(*tables.scores(results)),
         "\n".join(f"- `{arm}`: {_setting(options, arm)}" for arm in results["arms"]),
-        _picture(out, "fig7_lean.png", "input, truth, belief and error at each stage"),
-        _picture(out, "fig7_paper.png", "the same for the paper's model"),
+        _picture(out, "fig7_lean.png", "ours: input, truth, belief and error at each stage"),
+        _picture(out, "fig7_paper.png", "the paper's model: input, truth, belief and error"),
         "## Losses and thresholds",
         f"After {stage} episodes. Believed: how sure the model is of a pixel that is lit, 1 at "
         f"best. Spilled: its beliefs above {FAINT:g} in others, for each that is lit, 0 "
