@@ -107,9 +107,9 @@ class AccuracyReport(VariantsReport):
 
 ![{axis} against the model's error](accuracy.png)
 
-{self.measure.said} Mean over the first {self.measure.episodes} episodes with dreams. Rank
-correlation of mean error and mean {axis} over {len(errors)} models (those that are hollow in the
-figure, which are no worse, apart): {rank:.2f} (95% percentile bootstrap over seeds {low:.2f} to
-{high:.2f}). 1 would be the paper's claim without exception.
+{self.measure.said} Mean over the first {self.measure.episodes} episodes with dreams.
+Rank correlation of mean error and mean {axis} over {len(errors)} models (those that are hollow in
+the figure, which are no worse, apart): {rank:.2f} (95% percentile bootstrap over seeds {low:.2f}
+to {high:.2f}). 1 would be the paper's claim without exception.
 """
         return super().markdown(results) + text

@@ -9,6 +9,11 @@ from jaxdyna.experiments.maze_train_options import Options
 from jaxdyna.experiments.report import Results, interval, markdown_table
 
 PAPER_N = 100
+CONTROLS = (
+    "- Controls: `placebo` dreams in a model that is never trained; `oracle` dreams whole episodes "
+    "in the true maze, about as many steps; `more_updates` makes as many updates as `dyna`, all of "
+    "them on real transitions."
+)
 Table = tuple[list[str], list[list[str]]]
 
 
@@ -59,9 +64,7 @@ def method(options: Options) -> str:
             f"{hparams.epsilon_fake:g} of their actions random; then {agent.fake_updates} updates, "
             f"a share {hparams.fake_share:g} of each batch dreamed. Once there are dreams, the "
             "updates after a real episode draw them as well.",
-            "- Controls: `placebo` dreams in a model that is never trained; `oracle` dreams whole "
-            "episodes in the true maze, about as many steps; `more_updates` makes as many updates "
-            "as `dyna`, all of them on real transitions.",
+            CONTROLS,
             f"- Not the paper's, or not said there: {_differences(options)}.",
         ]
     )
