@@ -46,7 +46,6 @@ def finished(tmp_path_factory):
     return out
 
 
-@pytest.mark.xdist_group("cartpole")
 def test_results_keep_the_contract(finished):
     results = json.loads((finished / "results.json").read_text())
     for key in (
@@ -75,7 +74,6 @@ def test_results_keep_the_contract(finished):
     }  # fmt: skip
 
 
-@pytest.mark.xdist_group("cartpole")
 def test_curves_hold_every_episode_of_every_seed(finished):
     curves = np.load(finished / "curves.npz")
     for arm in ("model_free", "dyna", "placebo", "oracle"):
@@ -88,7 +86,6 @@ def test_curves_hold_every_episode_of_every_seed(finished):
     assert (curves["dyna/state_error"] > 0).all()
 
 
-@pytest.mark.xdist_group("cartpole")
 def test_report_and_figures(finished):
     report = (finished / "report.md").read_text()
     for name in ("fig6.png", "fig5_dyna.png", "solved.png"):
@@ -146,7 +143,6 @@ def test_studies_refuse_too_few_episodes(study, arguments, capsys):
     assert stop.value.code == 2 and "lower N or raise" in capsys.readouterr().err
 
 
-@pytest.mark.xdist_group("cartpole")
 def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatch):
     """Ctrl-C after the second arm's first piece; its other arms and episodes follow on resume."""
     monkeypatch.setattr(run, "PIECE_EPISODES", 12)

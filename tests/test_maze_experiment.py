@@ -44,7 +44,6 @@ def finished(tmp_path_factory):
     return out
 
 
-@pytest.mark.xdist_group("maze_model")
 def test_it_leaves_a_table_and_figures(finished):
     results = json.loads((finished / "results.json").read_text())
     assert {arm: sorted(stages) for arm, stages in results["arms"].items()} == {
@@ -64,7 +63,6 @@ def test_it_leaves_a_table_and_figures(finished):
     assert "nan" not in report.lower()
 
 
-@pytest.mark.xdist_group("maze_model")
 def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch):
     """Interrupted within a stage and between arms, then resumed: the same, bit for bit."""
     monkeypatch.setattr(maze_frames, "PIECE_UPDATES", 2)

@@ -38,7 +38,6 @@ def finished(tmp_path_factory):
     return out
 
 
-@pytest.mark.xdist_group("maze_train")
 def test_it_leaves_what_the_contract_asks_for(finished):
     results = json.loads((finished / "results.json").read_text())
     assert results["experiment"] == "maze" and set(results["arms"]) == {"model_free", "dyna"}
@@ -168,7 +167,6 @@ def test_final_policies_are_judged_on_starts_that_no_run_has_seen():
     assert len({tuple(row) for row in np.asarray(both)}) == 20
 
 
-@pytest.mark.xdist_group("maze_train")
 def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatch):
     """Ctrl-C once there are dreams: replays, priorities and films come back bit for bit."""
     free = dict(zip(COSTS, (np.ones(4), np.ones(4), np.ones(())), strict=True))
