@@ -10,7 +10,7 @@ from parts import ENV, assert_close, assert_same, random_act
 from jaxdyna import rollout
 from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
 from jaxdyna.agents.reinforce import over_batch, per_step, within_episode
-from jaxdyna.envs import CartPole, Maze
+from jaxdyna.envs import CartPole, Maze, Pong
 from jaxdyna.models import (
     LearnedEnvironment,
     LearnedParams,
@@ -45,6 +45,7 @@ def learned_world():
 WORLDS = {
     "cartpole": lambda: (CartPole(), CartPole().default_params),
     "maze": lambda: (Maze(), Maze().default_params),
+    "pong": lambda: (Pong(), Pong().default_params),
     "learned": learned_world,
 }
 

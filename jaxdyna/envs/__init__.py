@@ -3,9 +3,13 @@
 from jaxdyna.envs.cartpole import CartPole, CartPoleParams, CartPoleState
 from jaxdyna.envs.gymnasium import HostEnv, HostVectorEnv, register
 from jaxdyna.envs.maze import Maze, MazeParams, MazeState
+from jaxdyna.envs.pong import Pong
+from jaxdyna.envs.pong_rules import PongParams, PongState
+from jaxdyna.envs.pong_screen import CHANNELS, ObjectMasks, Palette
 from jaxdyna.envs.stack import FrameStack, StackState
 
 __all__ = [
+    "CHANNELS",
     "CartPole",
     "CartPoleParams",
     "CartPoleState",
@@ -15,6 +19,11 @@ __all__ = [
     "Maze",
     "MazeParams",
     "MazeState",
+    "ObjectMasks",
+    "Palette",
+    "Pong",
+    "PongParams",
+    "PongState",
     "StackState",
     "register",
 ]
@@ -22,3 +31,4 @@ __all__ = [
 register("jaxdyna/CartPole-v0", CartPole(), CartPoleParams(max_steps=200), reward_threshold=195.0)
 register("jaxdyna/CartPole-v1", CartPole(), CartPoleParams(max_steps=500), reward_threshold=475.0)
 register("jaxdyna/Maze-v0", Maze(), MazeParams())
+register("jaxdyna/Pong-v0", Pong(), PongParams())

@@ -1,0 +1,192 @@
+"""The rules of `jaxdyna.envs.Pong`, one frame at a time, as measured on the Atari 2600 game.
+
+Positions are the upper left pixel of an object on a field of 160 by 160 pixels, as (row, column),
+and reach a little outside; velocities are in pixels a frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from jaxdyna.types import Key
+
+FIELD = 160
+BALL, PADDLE = (4, 2), (16, 4)
+"""Heights and widths."""
+OPPONENT_COLUMN, OWN_COLUMN = 16, 140
+
+_ABSENT = -48
+"""The ball's row while there is none; the opponent runs after it there as well."""
+_SERVE = (80, 79)
+_TOP, _BOTTOM = -3, 158
+"""The rows at which the ball turns around."""
+_LEFT, _RIGHT = 3, 156
+"""The columns at which a point is won and lost."""
+_OWN_ROWS, _TARGETS = (-9, 156), (-34, 160)
+_FASTEST = 3
+_DIRECTION = np.array([0, 0, -1, 1, -1, 1])
+_FIRES = np.array([False, True, False, False, True, True])
+NUM_ACTIONS = len(_DIRECTION)
+
+
+@struct.dataclass
+class PongParams:
+    """What can be swept.
+
+    Attributes:
+        points_to_win: of either side; reaching it terminates the episode.
+        max_steps: steps until truncation.
+        first_serve_delay: frames until the first serve, at least 1.
+        serve_delay: frames from a point to the next serve, at least 1.
+        opponent_speed: pixels a frame.
+        opponent_rest: the opponent stands still in one frame of so many.
+        paddle_speed: pixels a frame that the player moves where the own paddle is to go.
+        repeat_action_probability: that a frame repeats the last frame's action instead ("sticky
+            actions"; 0.25 in ``ALE/Pong-v5``, 0 in ``PongNoFrameskip-v4``).
+    """
+
+    points_to_win: int = 21
+    max_steps: int = 27_000
+    first_serve_delay: int = 59
+    serve_delay: int = 63
+    opponent_speed: int = 2
+    opponent_rest: int = 8
+    paddle_speed: float = 5.8
+    repeat_action_probability: float = 0.0
+
+
+@struct.dataclass
+class PongState:
+    """Int32 where not said.
+
+    Attributes:
+        ball: ``[2]`` (row, column).
+        ball_velocity: ``[2]``.
+        own: the own paddle's row.
+        own_target: the row that it is on its way to, float32.
+        opponent: the opponent's row.
+        score: ``[2]``, the opponent's points and the own.
+        wait: frames until the serve; 0 while the ball is in play.
+        last_action: of the last frame.
+        clock: the number of frames played.
+        time: the number of steps taken.
+    """
+
+    ball: jax.Array
+    ball_velocity: jax.Array
+    own: jax.Array
+    own_target: jax.Array
+    opponent: jax.Array
+    score: jax.Array
+    wait: jax.Array
+    last_action: jax.Array
+    clock: jax.Array
+    time: jax.Array
+
+
+def first_state(params: PongParams) -> PongState:
+    """An empty field; the first serve will go to the opponent."""
+    zero = jnp.int32(0)
+    return PongState(
+        ball=jnp.array([_ABSENT, 0], jnp.int32),
+        ball_velocity=jnp.array([0, -1], jnp.int32),
+        own=jnp.int32(62),
+        own_target=jnp.float32(63),
+        opponent=jnp.int32(-29),
+        score=jnp.zeros(2, jnp.int32),
+        wait=jnp.asarray(params.first_serve_delay, jnp.int32),
+        last_action=zero,
+        clock=zero,
+        time=zero,
+    )
+
+
+def advance(key: Key, state: PongState, action: jax.Array, params: PongParams) -> PongState:
+    """One frame of the game; ``time`` is left to the caller."""
+    key_sticky, key_serve = jax.random.split(key)
+    sticky = jax.random.bernoulli(key_sticky, params.repeat_action_probability)
+    action = jnp.where(sticky, state.last_action, action)
+    upwards = jax.random.bernoulli(key_serve)
+
+    in_play = state.wait == 0
+    lost, won = in_play & (state.ball[1] >= _RIGHT), in_play & (state.ball[1] <= _LEFT)
+    out = lost | won
+    wait = jnp.where(out, params.serve_delay, jnp.maximum(state.wait - 1, 0)).astype(jnp.int32)
+    served = ~in_play & (wait == 0)
+
+    bounced = _bounce(state, jnp.array(_FIRES)[state.last_action])
+    serve = jnp.stack([jnp.where(upwards, -1, 1), state.ball_velocity[1]])
+    velocity = jnp.where(served, serve, jnp.where(in_play, bounced, state.ball_velocity))
+    velocity = jnp.where(out, jnp.stack([0, jnp.where(lost, 1, -1)]), velocity)
+    origin = jnp.where(served, jnp.array(_SERVE), state.ball.at[0].add(_rebound(state)))
+    ball = jnp.where(out, state.ball, origin + velocity)
+    ball = jnp.where(in_play | served, ball, jnp.array([_ABSENT, 0])).astype(jnp.int32)
+    clock = state.clock + 1
+    own, own_target = _move_own(state, action, clock, params)
+    return replace(
+        state,
+        ball=ball,
+        ball_velocity=velocity.astype(jnp.int32),
+        own=own,
+        own_target=own_target,
+        opponent=_move_opponent(state, ball, served, clock, params),
+        score=state.score + jnp.stack([lost, won]),
+        wait=wait,
+        last_action=action.astype(jnp.int32),
+        clock=clock,
+    )
+
+
+def _bounce(state: PongState, fires: jax.Array) -> jax.Array:
+    """The ball's velocity after what it touches now: a paddle that it flies towards, or a wall."""
+    (row, column), (down, right) = state.ball, state.ball_velocity
+
+    def touches(paddle_row, paddle_column):
+        return (
+            (row + BALL[0] - 1 > paddle_row)
+            & (row > _TOP)
+            & (row < FIELD - 1)
+            & (row < paddle_row + PADDLE[0])
+            & (column + BALL[1] > paddle_column)
+            & (column < paddle_column + PADDLE[1])
+        )
+
+    own = touches(state.own - state.own % 2, OWN_COLUMN)
+    opponent = touches(state.opponent - 1, OPPONENT_COLUMN)
+    below = jnp.where(own, row - state.own, row - state.opponent - 2)
+    slope = jnp.clip(jnp.floor_divide(below, 4) - 1, -3, 2)
+    slope = jnp.where(own | opponent, slope, down)
+    down = jnp.where(row <= _TOP, jnp.abs(down), jnp.where(row >= _BOTTOM, -jnp.abs(down), slope))
+    speed = jnp.minimum(jnp.abs(right) + (own & fires), _FASTEST)
+    right = jnp.where(own, -speed, jnp.where(opponent, speed, right))
+    return jnp.stack([down, right])
+
+
+def _rebound(state: PongState) -> jax.Array:
+    """A wall pushes the ball back by a pixel."""
+    row = state.ball[0]
+    return jnp.where(row <= _TOP, 1, jnp.where(row >= _BOTTOM, -1, 0))
+
+
+def _move_own(state, action, clock, params):
+    """The stick moves a target; every other frame the paddle goes half of the way there."""
+    target = state.own_target + jnp.array(_DIRECTION)[action] * params.paddle_speed
+    target = jnp.clip(target, *_TARGETS).astype(jnp.float32)
+    half = jnp.floor((target - state.own) / 2).astype(jnp.int32)
+    own = jnp.clip(state.own + half, *_OWN_ROWS)
+    return jnp.where(clock % 2 == 0, own, state.own), target
+
+
+def _move_opponent(state, ball, served, clock, params):
+    """After the ball, but for one frame in some; before a serve it is where the ball will be."""
+    aim = ball[0] - 1
+    step = jnp.sign(aim - state.opponent) * params.opponent_speed
+    rests = clock % params.opponent_rest == 0
+    moved = state.opponent + jnp.where(rests, 0, step)
+    ready = jnp.array(_SERVE)[0] - 1 + 2 * jnp.sign(ball[0] - _SERVE[0])
+    return jnp.where(served, ready, moved).astype(jnp.int32)

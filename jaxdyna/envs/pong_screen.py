@@ -1,0 +1,140 @@
+"""What `jaxdyna.envs.Pong` looks like: objects as masks, and the screen drawn from them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdyna.envs.pong_rules import (
+    BALL,
+    FIELD,
+    OPPONENT_COLUMN,
+    OWN_COLUMN,
+    PADDLE,
+    PongState,
+)
+
+ABOVE, BELOW, WALL = 34, 16, 10
+"""Rows of the whole screen above and below the field, and of the upper wall, which touches it."""
+DIGIT_COLUMNS = (20, 100)
+"""Where the opponent's points and the own are written."""
+_DIGITS = np.array(
+    [
+        [[row >> bit & 1 for bit in (2, 1, 0)] for row in rows]
+        for rows in (
+            (7, 5, 5, 5, 7),
+            (2, 6, 2, 2, 7),
+            (7, 1, 7, 4, 7),
+            (7, 1, 3, 1, 7),
+            (5, 5, 7, 1, 1),
+            (7, 4, 7, 1, 7),
+            (7, 4, 7, 5, 7),
+            (7, 1, 2, 2, 2),
+            (7, 5, 7, 5, 7),
+            (7, 5, 7, 1, 7),
+        )
+    ],
+    bool,
+).repeat(4, axis=1)
+_DIGITS = _DIGITS.repeat(4, axis=2)
+
+
+class Palette(NamedTuple):
+    """Colours ``(red, green, blue)``."""
+
+    background: tuple[int, int, int] = (144, 72, 17)
+    ball: tuple[int, int, int] = (236, 236, 236)
+    own: tuple[int, int, int] = (92, 186, 92)
+    opponent: tuple[int, int, int] = (213, 130, 74)
+
+
+CHANNELS = Palette((0, 0, 0), ball=(0, 0, 255), own=(0, 255, 0), opponent=(255, 0, 0))
+"""One channel an object, on black."""
+
+
+class ObjectMasks(NamedTuple):
+    """The pixels of each object in a frame, bool ``[height, width]``."""
+
+    ball: jax.Array
+    own: jax.Array
+    opponent: jax.Array
+
+
+def field_masks(state: PongState, scale: int) -> ObjectMasks:
+    """Which pixels of the field, each ``scale`` of the game's a side, an object touches."""
+    first = scale * jnp.arange(FIELD // scale)
+
+    def covered(start, length):
+        return (start < first + scale) & (start + length > first)
+
+    def box(row, column, size):
+        return covered(row, size[0])[:, None] & covered(column, size[1])[None, :]
+
+    return ObjectMasks(
+        ball=box(state.ball[0], state.ball[1], BALL),
+        own=box(state.own - state.own % 2, OWN_COLUMN, PADDLE),
+        opponent=box(state.opponent, OPPONENT_COLUMN, PADDLE),
+    )
+
+
+def screen_masks(state: PongState) -> ObjectMasks:
+    """The same on the whole screen, ``[210, 160]``."""
+    margins = ((ABOVE, BELOW), (0, 0))
+    return jax.tree.map(lambda mask: jnp.pad(mask, margins), field_masks(state, 1))
+
+
+def masks_by_colour(screen: jax.Array, scale: int, palette: Palette) -> ObjectMasks:
+    """As `field_masks`, but from a picture of the whole screen, the real game's for one.
+
+    Args:
+        screen: uint8 ``[..., 210, 160, 3]``.
+        scale: as in `jaxdyna.envs.Pong`.
+        palette: the colours on it.
+
+    Returns:
+        Bool ``[..., 160 / scale, 160 / scale]`` each.
+    """
+    field = screen[..., ABOVE : ABOVE + FIELD, :, :]
+    blocks = (*field.shape[:-3], FIELD // scale, scale, FIELD // scale, scale)
+
+    def shown(colour):
+        return (field == jnp.array(colour, jnp.uint8)).all(-1).reshape(blocks).any((-3, -1))
+
+    return ObjectMasks(shown(palette.ball), shown(palette.own), shown(palette.opponent))
+
+
+def paint(frame: jax.Array, masks: ObjectMasks, palette: Palette) -> jax.Array:
+    """The objects in their colours on a frame, uint8 ``[..., height, width, 3]``; the ball in
+    front.
+    """
+    for name in ("opponent", "own", "ball"):
+        colour = jnp.array(getattr(palette, name), jnp.uint8)
+        frame = jnp.where(getattr(masks, name)[..., None], colour, frame)
+    return frame
+
+
+def blank(shape: tuple[int, ...], palette: Palette) -> jax.Array:
+    """Nothing but background, uint8 ``shape``."""
+    return jnp.broadcast_to(jnp.array(palette.background, jnp.uint8), shape)
+
+
+def empty_screen(state: PongState, palette: Palette) -> jax.Array:
+    """Walls and points, uint8 ``[210, 160, 3]``."""
+    screen = blank((ABOVE + FIELD + BELOW, FIELD, 3), palette)
+    wall = jnp.array(palette.ball, jnp.uint8)
+    screen = screen.at[ABOVE - WALL : ABOVE].set(wall).at[-BELOW:].set(wall)
+    digits = jnp.array(_DIGITS)
+    height, width = _DIGITS.shape[1:]
+    names = (palette.opponent, palette.own)
+    for points, column, colour in zip(state.score, DIGIT_COLUMNS, names, strict=True):
+        for place, digit, shown in ((0, points // 10, points >= 10), (1, points % 10, True)):
+            left = column + place * (width + 4)
+            area = screen[1 : 1 + height, left : left + width]
+            lit = digits[digit][..., None] & shown
+            screen = screen.at[1 : 1 + height, left : left + width].set(
+                jnp.where(lit, jnp.array(colour, jnp.uint8), area)
+            )
+    return screen
