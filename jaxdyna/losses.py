@@ -151,3 +151,17 @@ l2 = PixelLoss(_half_square, _clipped)
 
 bce = PixelLoss(optax.sigmoid_binary_cross_entropy, jax.nn.sigmoid)
 """The multi-label binary cross-entropy: every pixel is a label of its own."""
+
+
+def deceive(fake_logit: jax.Array) -> jax.Array:
+    """The generator's loss ``-log D(G(z))``, the non-saturating one (Goodfellow et al. 2014).
+
+    Args:
+        fake_logit: the discriminator's log odds that a made picture is a true one.
+    """
+    return jax.nn.softplus(-fake_logit)
+
+
+def discern(real_logit: jax.Array, fake_logit: jax.Array) -> jax.Array:
+    """The discriminator's loss ``-log D(x) - log(1 - D(G(z)))`` (§4.3), from log odds."""
+    return jax.nn.softplus(-real_logit) + jax.nn.softplus(fake_logit)

@@ -1,5 +1,11 @@
 """Dynamics models, and the environment made of one."""
 
+from jaxdyna.models.adversarial import (
+    AdversarialHParams,
+    Adversary,
+    AdversaryConfig,
+    discriminator,
+)
 from jaxdyna.models.environment import (
     LearnedEnvironment,
     LearnedParams,
@@ -27,6 +33,9 @@ from jaxdyna.models.supervised import (
 )
 
 __all__ = [
+    "AdversarialHParams",
+    "Adversary",
+    "AdversaryConfig",
     "LearnedEnvironment",
     "LearnedParams",
     "LearnedState",
@@ -37,6 +46,7 @@ __all__ = [
     "SupervisedHParams",
     "SupervisedParams",
     "SupervisedState",
+    "discriminator",
     "doubtful",
     "frame_probability",
     "never",

@@ -12,6 +12,7 @@ import optax
 from flax import struct
 
 from jaxdyna.losses import PixelLoss, bce
+from jaxdyna.models.adversarial import Adversary
 from jaxdyna.networks import FrameModel, LocalDynamics, LocalReward
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 
@@ -42,6 +43,7 @@ class PixelConfig:
         reward_weight: of its squared error beside the pixels' summed loss.
         terminates: whether the end of the episode is predicted; without it no episode ends.
         optimizer: from a learning rate to an optax transformation.
+        shades: pixels keep what is believed of them, as a shade; the threshold does not count.
     """
 
     network: Any = LocalDynamics(3)
@@ -51,6 +53,7 @@ class PixelConfig:
     reward_weight: float = 1.0
     terminates: bool = False
     optimizer: Callable[[Any], optax.GradientTransformation] = optax.adam
+    shades: bool = False
 
     def __post_init__(self) -> None:
         if self.threshold is not None and not 0 <= self.threshold < 1:
@@ -61,10 +64,13 @@ class PixelConfig:
 
 @struct.dataclass
 class PixelState:
-    """Flax's variables, BatchNorm's running statistics among them, and the optimiser's state."""
+    """Flax's variables, BatchNorm's running statistics among them, and the optimiser's state;
+    beside them the adversary's, where there is one.
+    """
 
     params: Any
     opt_state: Any
+    adversary: Any = None
 
 
 def pixels(
@@ -72,6 +78,7 @@ def pixels(
     num_actions: int,
     config: PixelConfig | None = None,
     num_frames: int = 4,
+    adversary: Adversary | None = None,
 ) -> DynamicsModel:
     """A model of worlds that are seen as stacked frames.
 
@@ -81,10 +88,12 @@ def pixels(
         config: the program's settings.
         num_frames: frames in an observation, uint8 ``[H, W, channels * num_frames]``, the newest
             last.
+        adversary: who else judges the frames (`jaxdyna.models.discriminator`).
 
     Returns:
-        A `DynamicsModel` whose hparams are `PixelHParams`; ``predict`` returns the next stack, its
-        new frame with every channel 0 or 255.
+        A `DynamicsModel` whose hparams are `PixelHParams`, with an adversary `AdversarialHParams`;
+        ``predict`` returns the next stack, its new frame with every channel 0 or 255, or in
+        shades.
 
     Raises:
         ValueError: where the network predicts pictures of another shape.
@@ -97,26 +106,44 @@ def pixels(
     def init(key: Key, hparams: PixelHParams) -> PixelState:
         stack = jnp.zeros((2, *frame_shape[:2], channels * num_frames))
         action = jnp.zeros((2, num_actions))
+        other = None
+        if adversary is not None:
+            key, key_adversary = jax.random.split(key)
+            other = adversary.init(key_adversary, hparams)
         variables = module.init(key, stack, action, stack[..., :channels], True)
         opt_state = config.optimizer(hparams.learning_rate).init(variables["params"])
-        return PixelState(variables, opt_state)
+        return PixelState(variables, opt_state, other)
 
     def predict(params: Any, obs: jax.Array, action: jax.Array, key: Key) -> Prediction:
         stack, one_hot = _scale(obs[None]), jax.nn.one_hot(action[None], num_actions)
         raw, features = module.apply(params, stack, one_hot, method="frame")
         believed = config.loss.probability(raw)
         bar = jax.random.uniform(key, raw.shape) if config.threshold is None else config.threshold
-        frame = (believed > bar).astype(jnp.float32)
+        frame = believed if config.shades else (believed > bar).astype(jnp.float32)
         outcome: Any = module.apply(params, features, frame, method="outcome")
         reward, _, logit = outcome
-        lit = (frame[0] * 255).astype(obs.dtype)
+        lit = jnp.round(frame[0] * 255).astype(obs.dtype)
         sure = jnp.where(frame > 0, believed, 1 - believed)
+        wrong = 0.0 if config.shades else (1 - sure).sum()
         return Prediction(
             next_obs=jnp.concatenate([obs[..., channels:], lit], axis=-1),
             reward=reward[0],
             terminated=jax.nn.sigmoid(logit[0]),
-            disagreement=(1 - sure).sum(),
+            disagreement=jnp.asarray(wrong, jnp.float32),
         )
+
+    update = _learner(module, num_actions, channels, config, adversary)
+    return DynamicsModel(init, predict, update)
+
+
+def _learner(
+    module: FrameModel,
+    num_actions: int,
+    channels: int,
+    config: PixelConfig,
+    adversary: Adversary | None,
+) -> Callable[..., tuple[PixelState, dict[str, jax.Array]]]:
+    """The model's ``update``."""
 
     def update(
         state: PixelState, transitions: Transition, key: Key, hparams: PixelHParams
@@ -131,7 +158,7 @@ def pixels(
 
         def loss_fn(params):
             variables = {**state.params, "params": params}
-            (raw, reward, charge, logit), settled = module.apply(
+            (raw, *outcome), settled = module.apply(
                 variables,
                 _scale(batch.obs),
                 one_hot,
@@ -140,28 +167,52 @@ def pixels(
                 weight > 0,
                 mutable=["batch_stats"],
             )
-            parts = {"frame_loss": config.loss.error(raw, truth).sum((1, 2, 3))}
-            if config.reward is not None:
-                parts["reward_loss"] = jnp.square(reward - batch.reward) + charge
-            if config.terminates:
-                end = batch.terminated.astype(jnp.float32)
-                parts["end_loss"] = optax.sigmoid_binary_cross_entropy(logit, end)
-            scale = jnp.maximum(weight.sum(), 1e-6)
-            means = {name: (weight * part).sum() / scale for name, part in parts.items()}
-            heavy = means.get("reward_loss", 0.0) * (config.reward_weight - 1)
-            return sum(means.values()) + heavy, (settled, means)
+            parts = _losses(config, raw, outcome, truth, batch)
+            importance = {"reward_loss": config.reward_weight}
+            if adversary is not None:
+                parts["adversarial_loss"] = adversary.unmasked(state.adversary, raw)
+                importance["adversarial_loss"] = hparams.adversarial_weight
+            total, means = _weigh(parts, importance, weight)
+            return total, (settled, means, raw)
 
         grads_of = jax.value_and_grad(loss_fn, has_aux=True)
-        (loss, (settled, means)), grads = grads_of(state.params["params"])
+        (loss, (settled, means, raw)), grads = grads_of(state.params["params"])
         optimizer = config.optimizer(hparams.learning_rate)
         updates, opt_state = optimizer.update(grads, state.opt_state, state.params["params"])
         trained = optax.apply_updates(state.params["params"], updates)
-        new = PixelState({**state.params, **settled, "params": trained}, opt_state)
-        any_weight = (weight > 0).any()
-        new = jax.tree.map(lambda new, old: jnp.where(any_weight, new, old), new, state)
+        other = None
+        if adversary is not None:
+            other, seen = adversary.update(state.adversary, raw, truth, weight, hparams)
+            means |= seen
+        new = PixelState({**state.params, **settled, "params": trained}, opt_state, other)
+        new = jax.tree.map(lambda new, old: jnp.where((weight > 0).any(), new, old), new, state)
         return new, {"loss": loss, **means}
 
-    return DynamicsModel(init, predict, update)
+    return update
+
+
+def _losses(
+    config: PixelConfig, raw: jax.Array, outcome: list[jax.Array], truth: jax.Array, batch: Any
+) -> dict[str, jax.Array]:
+    """What each transition ``[N]`` is wrong by: its frame, and what the heads say."""
+    reward, charge, end_logit = outcome
+    parts = {"frame_loss": config.loss.error(raw, truth).sum((1, 2, 3))}
+    if config.reward is not None:
+        parts["reward_loss"] = jnp.square(reward - batch.reward) + charge
+    if config.terminates:
+        end = batch.terminated.astype(jnp.float32)
+        parts["end_loss"] = optax.sigmoid_binary_cross_entropy(end_logit, end)
+    return parts
+
+
+def _weigh(
+    parts: dict[str, jax.Array], importance: dict[str, Any], weight: jax.Array
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """The loss, and the mean of each part ``[N]`` over transitions of some weight ``[N]``."""
+    scale = jnp.maximum(weight.sum(), 1e-6)
+    means = {name: (weight * part).sum() / scale for name, part in parts.items()}
+    total = jnp.asarray(sum(importance.get(name, 1.0) * mean for name, mean in means.items()))
+    return total, means
 
 
 def frame_probability(

@@ -8,17 +8,22 @@ from jaxdyna.networks.frames import (
     LocalReward,
 )
 from jaxdyna.networks.layers import MLP, Convolution
+from jaxdyna.networks.patches import Discriminator, Patched, from_patches, to_patches
 from jaxdyna.networks.values import ConvolutionalQ, GlimpseQ, glimpses
 
 __all__ = [
     "MLP",
     "Convolution",
     "ConvolutionalQ",
+    "Discriminator",
     "EncoderDecoder",
     "FrameModel",
     "GlimpseQ",
     "JointReward",
     "LocalDynamics",
     "LocalReward",
+    "Patched",
+    "from_patches",
     "glimpses",
+    "to_patches",
 ]

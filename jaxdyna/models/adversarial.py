@@ -1,0 +1,126 @@
+"""The adversarial loss of §4.3: a discriminator that tells predicted frames from real ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from jaxdyna.losses import deceive, discern
+from jaxdyna.networks import Discriminator
+from jaxdyna.types import Key
+
+
+@struct.dataclass
+class AdversarialHParams:
+    """What can be swept: a model's settings, and the adversary's.
+
+    Attributes:
+        learning_rate: of the model.
+        adversarial_weight: the paper's lambda: of the adversarial loss beside the summed loss of a
+            frame's pixels. At 0 the model learns as it would alone.
+        discriminator_learning_rate: of the discriminator.
+    """
+
+    learning_rate: float | jax.Array = 2e-4
+    adversarial_weight: float | jax.Array = 1.0
+    discriminator_learning_rate: float | jax.Array = 2e-4
+
+
+@dataclass(frozen=True)
+class AdversaryConfig:
+    """What decides the program.
+
+    Attributes:
+        network: from pictures ``[N, H, W, C]`` to log odds ``[N]``.
+        picture: from the model's raw output to the picture that is judged; with the binary
+            cross-entropy ``jax.nn.sigmoid``.
+        optimizer: from a learning rate to an optax transformation; Adam with the decay rates (0.5,
+            0.999) by default (Radford et al. 2016).
+    """
+
+    network: Any = Discriminator()
+    picture: Callable[[jax.Array], jax.Array] = lambda raw: raw
+    optimizer: Callable[[Any], optax.GradientTransformation] = partial(optax.adam, b1=0.5)
+
+
+@struct.dataclass
+class AdversaryState:
+    """Weights and the optimiser's state."""
+
+    params: Any
+    opt_state: Any
+
+
+class Adversary(NamedTuple):
+    """A judge of predicted frames that learns beside the model.
+
+    Attributes:
+        init: ``(key, hparams) -> state``.
+        unmasked: ``(state, raw [N, H, W, C]) -> loss [N]``: how surely each predicted frame is
+            seen through.
+        update: ``(state, raw, truth, weight [N], hparams) -> (state, metrics)``: one step.
+    """
+
+    init: Callable[[Key, Any], Any]
+    unmasked: Callable[[Any, jax.Array], jax.Array]
+    update: Callable[..., tuple[Any, dict[str, jax.Array]]]
+
+
+def discriminator(
+    frame_shape: tuple[int, int, int], config: AdversaryConfig | None = None
+) -> Adversary:
+    """The paper's adversary.
+
+    The model minimises ``-log D(G(z))`` (the non-saturating form of Goodfellow et al. 2014) rather
+    than the printed ``+ log D(G(z))``, which would reward it for being seen through. The
+    discriminator minimises the negative of the printed objective.
+
+    Args:
+        frame_shape: ``(height, width, channels)``.
+        config: the program's settings.
+
+    Returns:
+        An `Adversary` whose hparams are `AdversarialHParams`.
+    """
+    config = config or AdversaryConfig()
+    network = config.network
+
+    def init(key: Key, hparams: AdversarialHParams) -> AdversaryState:
+        params = network.init(key, jnp.zeros((1, *frame_shape)))
+        return AdversaryState(params, optimizer(hparams).init(params))
+
+    def optimizer(hparams: AdversarialHParams) -> optax.GradientTransformation:
+        return config.optimizer(hparams.discriminator_learning_rate)
+
+    def unmasked(state: AdversaryState, raw: jax.Array) -> jax.Array:
+        return deceive(network.apply(state.params, config.picture(raw)))
+
+    def update(
+        state: AdversaryState,
+        raw: jax.Array,
+        truth: jax.Array,
+        weight: jax.Array,
+        hparams: AdversarialHParams,
+    ) -> tuple[AdversaryState, dict[str, jax.Array]]:
+        def loss_fn(params):
+            real = network.apply(params, truth)
+            fake = network.apply(params, config.picture(raw))
+            scale = jnp.maximum(weight.sum(), 1e-6)
+            right = 0.5 * ((real > 0).astype(jnp.float32) + (fake < 0))
+            losses = jax.vmap(discern)(real, fake)
+            return (weight * losses).sum() / scale, (weight * right).sum() / scale
+
+        (loss, right), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.params)
+        updates, opt_state = optimizer(hparams).update(grads, state.opt_state, state.params)
+        params = optax.apply_updates(state.params, updates)
+        metrics = {"discriminator_loss": loss, "discriminator_accuracy": right}
+        return AdversaryState(params, opt_state), metrics
+
+    return Adversary(init, unmasked, update)
