@@ -9,6 +9,7 @@ from jaxdyna.networks.frames import (
 )
 from jaxdyna.networks.layers import MLP, Convolution
 from jaxdyna.networks.patches import Discriminator, Patched, from_patches, to_patches
+from jaxdyna.networks.shifts import ShiftDynamics
 from jaxdyna.networks.values import ConvolutionalQ, GlimpseQ, glimpses
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "LocalDynamics",
     "LocalReward",
     "Patched",
+    "ShiftDynamics",
     "from_patches",
     "glimpses",
     "to_patches",
