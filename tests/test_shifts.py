@@ -25,7 +25,7 @@ def test_places_by_hand():
     stack = np.zeros((1, 6, 8, 4), np.float32)
     stack[0, 2, 3, 0] = stack[0, 3, 5, 2] = 1
     stack[0, 4:6, 1, 3] = 1
-    features = np.asarray(places(jnp.array(stack), 2)[0])
+    features = np.asarray(jax.jit(places, static_argnums=1)(jnp.array(stack), 2)[0])
     place, seen, moved, apart, near, mass = np.split(features, np.cumsum([8, 4, 4, 2, 2]))
     np.testing.assert_allclose(
         place,
@@ -53,7 +53,9 @@ def test_a_thing_keeps_its_shape():
     stack = np.zeros((1, 8, 8, 4), np.float32)
     stack[0, 2:5, 3, 2] = stack[0, 6, 6, 3] = 1
     network, action = ShiftDynamics(2, (2, 2), (8,)), jnp.zeros((1, 3))
-    params = network.init(jax.random.key(0), jnp.array(stack), action, True)
+    params = jax.jit(network.init, static_argnums=3)(
+        jax.random.key(0), jnp.array(stack), action, True
+    )
     forced = jax.tree.map(jnp.zeros_like, params)
     down = np.zeros((2, 5), np.float32)
     down[0, 3] = down[1, 0] = 50
@@ -62,11 +64,14 @@ def test_a_thing_keeps_its_shape():
     weights["Dense_1"]["bias"] = jnp.array(down.reshape(-1))
     weights["Dense_2"]["bias"] = jnp.array(np.tile(50 * np.eye(5)[2], 2))
     weights["Dense_3"]["bias"] = jnp.array(stays.reshape(-1))
-    raw, features = network.apply(forced, jnp.array(stack), action, False)
+    raw, features = jax.jit(network.apply, static_argnums=3)(
+        forced, jnp.array(stack), action, False
+    )
     lit = np.asarray(raw[0] > 0)
     expected = np.zeros((8, 8, 2), bool)
     expected[3:6, 3, 0] = expected[4, 6, 1] = True
     np.testing.assert_array_equal(lit, expected)
     assert features.shape == (1, 8) and np.isfinite(raw).all()
-    gradient = jax.grad(lambda p: network.apply(p, jnp.array(stack), action, True)[0].sum())(params)
+    total = jax.jit(jax.grad(lambda p: network.apply(p, jnp.array(stack), action, True)[0].sum()))
+    gradient = total(params)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
