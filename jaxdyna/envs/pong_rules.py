@@ -41,8 +41,8 @@ class PongParams:
     Attributes:
         points_to_win: of either side; reaching it terminates the episode.
         max_steps: steps until truncation.
-        first_serve_delay: frames until the first serve, at least 1.
-        serve_delay: frames from a point to the next serve, at least 1.
+        first_serve_delay: frames until the first serve; less than 1 counts as 1.
+        serve_delay: frames from a point to the next serve; less than 1 counts as 1.
         opponent_speed: pixels a frame.
         opponent_rest: the opponent stands still in one frame of so many.
         paddle_speed: pixels a frame that the player moves where the own paddle is to go.
@@ -99,7 +99,7 @@ def first_state(params: PongParams) -> PongState:
         own_target=jnp.float32(63),
         opponent=jnp.int32(-29),
         score=jnp.zeros(2, jnp.int32),
-        wait=jnp.asarray(params.first_serve_delay, jnp.int32),
+        wait=jnp.maximum(params.first_serve_delay, 1).astype(jnp.int32),
         last_action=zero,
         clock=zero,
         time=zero,
@@ -116,7 +116,8 @@ def advance(key: Key, state: PongState, action: jax.Array, params: PongParams) -
     in_play = state.wait == 0
     lost, won = in_play & (state.ball[1] >= _RIGHT), in_play & (state.ball[1] <= _LEFT)
     out = lost | won
-    wait = jnp.where(out, params.serve_delay, jnp.maximum(state.wait - 1, 0)).astype(jnp.int32)
+    delay = jnp.maximum(params.serve_delay, 1)
+    wait = jnp.where(out, delay, jnp.maximum(state.wait - 1, 0)).astype(jnp.int32)
     served = ~in_play & (wait == 0)
 
     bounced = _bounce(state, jnp.array(_FIRES)[state.last_action])

@@ -26,8 +26,9 @@ def from_patches(patches: jax.Array, size: int) -> jax.Array:
 
 
 class Patched(nn.Module):
-    """A frame network on patches instead of pixels. Its first and last layers are then strided
-    convolutions, the last one transposed, whose kernels are as large as the stride.
+    """A frame network on patches instead of pixels. Its first layer is then a convolution at a
+    stride of ``size`` pixels, with a kernel so many times as large as on pixels; its last one is
+    the same, transposed.
 
     Attributes:
         network: such as `jaxdyna.networks.EncoderDecoder`; it predicts ``size * size`` times as
