@@ -11,8 +11,8 @@ import pytest
 from parts import assert_close, assert_same
 
 from jaxdyna import rollout
-from jaxdyna.agents import DQNConfig, DQNHParams, dqn
-from jaxdyna.agents.dqn import _mixed, epsilon_now
+from jaxdyna.agents import DQNConfig, DQNHParams, dqn, exploration
+from jaxdyna.agents.dqn import _mixed
 from jaxdyna.envs import FrameStack, Maze, MazeParams
 from jaxdyna.losses import td_error
 from jaxdyna.networks import GlimpseQ
@@ -61,10 +61,18 @@ def test_real_and_fake_are_kept_apart():
     agent = make()
     state = agent.init(jax.random.key(0), HPARAMS)
     state, _ = agent.update(state, play(0), jax.random.key(1), HPARAMS)
-    assert (int(state.real.size), int(state.fake.size), int(state.episodes)) == (12, 0, 2)
+    assert (int(state.real.size), int(state.fake.size), int(state.exploration.episodes)) == (
+        12,
+        0,
+        2,
+    )
     assert int(state.steps) == 3
     state, metrics = agent.update_fake(state, play(1, 3), jax.random.key(2), HPARAMS)
-    assert (int(state.real.size), int(state.fake.size), int(state.episodes)) == (12, 18, 2)
+    assert (int(state.real.size), int(state.fake.size), int(state.exploration.episodes)) == (
+        12,
+        18,
+        2,
+    )
     assert int(state.steps) == 5 and np.isfinite(metrics["loss"])
 
 
@@ -119,7 +127,11 @@ def test_jit_is_eager_and_vmap_is_a_loop():
 
 def test_exploration():
     hparams = DQNHParams(epsilon_first=1, epsilon_last=0.2, epsilon_hold=2, epsilon_episodes=4)
-    shares = [float(epsilon_now(jnp.int32(n), hparams)) for n in (0, 2, 4, 6, 9)]
+    before = exploration.init(5)
+    shares = [
+        float(exploration.epsilon(before.replace(episodes=jnp.int32(n)), hparams))
+        for n in (0, 2, 4, 6, 9)
+    ]
     np.testing.assert_allclose(shares, [1, 1, 0.6, 0.2, 0.2], rtol=1e-6)
     agent = make(drift=3.0, updates=0)
     state = agent.init(jax.random.key(0), hparams)
@@ -132,13 +144,32 @@ def test_exploration():
     even = jnp.bincount(actions(state, hparams), length=5)
     assert even.min() > 50
     state, _ = agent.update(state, play(0), jax.random.key(1), hparams)
-    drifting = state.replace(episodes=jnp.int32(0))
+    drifting = at_episode(state, 0)
     uneven = jnp.bincount(actions(drifting, hparams), length=5)
     assert uneven.max() > 200
     greedy = hparams.replace(epsilon_last=0.0)
-    assert len(set(np.asarray(actions(state.replace(episodes=jnp.int32(9)), greedy)))) == 1
+    assert len(set(np.asarray(actions(at_episode(state, 9), greedy)))) == 1
     awake = actions(state, hparams.replace(epsilon_fake=1.0), agent.act_fake)
     assert len(set(np.asarray(awake))) > 1
+
+
+def at_episode(state, number):
+    return state.replace(exploration=state.exploration.replace(episodes=jnp.int32(number)))
+
+
+def test_exploration_lasts_until_something_was_earned():
+    hparams = DQNHParams(epsilon_hold=2.0, epsilon_episodes=4.0)
+    nothing = play(0)._replace(reward=-jnp.ones_like(play(0).reward))
+    unseen = play(0)._replace(reward=jnp.ones_like(play(0).reward), mask=play(0).mask * 0)
+    once = nothing._replace(reward=nothing.reward.at[0, 1].set(1.0))
+    shares = {}
+    for until_rewarded in (False, True):
+        state = exploration.init(5)
+        for number, real in enumerate([nothing] * 4 + [unseen, once] + [nothing] * 2):
+            state = exploration.count(state, real, hparams, until_rewarded)
+            shares[until_rewarded, number] = float(exploration.epsilon(state, hparams))
+    assert [shares[True, n] for n in range(8)] == [1.0] * 5 + [0.5, 0.0, 0.0]
+    assert [shares[False, n] for n in range(4)] == [1.0, 0.5, 0.0, 0.0]
 
 
 def test_target_network():

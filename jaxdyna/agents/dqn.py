@@ -13,8 +13,9 @@ import optax
 from flax import struct
 
 from jaxdyna import frame_replay
-from jaxdyna.agents import prioritized
+from jaxdyna.agents import exploration, prioritized
 from jaxdyna.agents.dqn_settings import DQNConfig, DQNHParams
+from jaxdyna.agents.exploration import Exploration
 from jaxdyna.agents.prioritized import Prioritized
 from jaxdyna.losses import td_error
 from jaxdyna.networks import GlimpseQ
@@ -33,8 +34,7 @@ class DQNState:
         target: the target network's.
         opt_state: the optimiser's.
         steps: int32, gradient steps so far.
-        episodes: int32, real episodes so far.
-        drift: ``[actions]``, log odds of exploratory actions.
+        exploration: how much it explores, and in which direction.
         real: real transitions.
         fake: dreamed ones.
     """
@@ -43,8 +43,7 @@ class DQNState:
     target: Any
     opt_state: Any
     steps: jax.Array
-    episodes: jax.Array
-    drift: jax.Array
+    exploration: Exploration
     real: Prioritized
     fake: Prioritized
 
@@ -89,8 +88,7 @@ def dqn(
             target=params,
             opt_state=config.optimizer(hparams.learning_rate).init(params),
             steps=jnp.int32(0),
-            episodes=jnp.int32(0),
-            drift=jnp.zeros(num_actions),
+            exploration=exploration.init(num_actions),
             real=empty(config.capacity, config.episodes),
             fake=empty(config.fake_capacity, config.fake_episodes),
         )
@@ -107,7 +105,8 @@ def dqn(
         return jnp.where(jax.random.uniform(key_which) < epsilon, exploratory, best)
 
     def act(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
-        return explore(state, obs, key, epsilon_now(state.episodes, hparams), state.drift)
+        share = exploration.epsilon(state.exploration, hparams)
+        return explore(state, obs, key, share, state.exploration.drift)
 
     def act_fake(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
         """Short dreams from anywhere need no direction: exploratory actions are all alike."""
@@ -127,16 +126,19 @@ def dqn(
         start = {name: getattr(state, name) for name in LEARNED}
         (learned, _), losses = jax.lax.scan(step, (start, key_steps), length=updates)
         drift = config.drift * jax.random.normal(key_drift, (num_actions,))
+        explored = replace(state.exploration, drift=drift)
         loss = losses.mean() if updates else jnp.float32(0)
-        return replace(state, drift=drift, **learned), {"loss": loss}
+        return replace(state, exploration=explored, **learned), {"loss": loss}
 
     def update(state: DQNState, transitions: Transition, key: Key, hparams: DQNHParams):
         """Stores the episodes, then `DQNConfig.updates` gradient steps."""
 
         def work():
             real = prioritized.add(state.real, _weighted(transitions))
-            episodes = state.episodes + transitions.mask.shape[0]
-            new = replace(state, real=real, episodes=episodes)
+            explored = exploration.count(
+                state.exploration, transitions, hparams, config.explore_until_rewarded
+            )
+            new = replace(state, real=real, exploration=explored)
             return learn(new, key, hparams, config.updates)
 
         return _unless_nothing(transitions, work, state)
@@ -151,13 +153,6 @@ def dqn(
         return _unless_nothing(transitions, work, state)
 
     return Agent(init, act, update, act_fake, update_fake)
-
-
-def epsilon_now(episodes: jax.Array, hparams: DQNHParams) -> jax.Array:
-    """The share of exploratory actions after so many real episodes."""
-    falling = (episodes - hparams.epsilon_hold) / jnp.maximum(hparams.epsilon_episodes, 1e-6)
-    gone = jnp.clip(falling, 0, 1)
-    return hparams.epsilon_first + gone * (hparams.epsilon_last - hparams.epsilon_first)
 
 
 def _descend(

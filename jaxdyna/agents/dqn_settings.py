@@ -67,6 +67,9 @@ class DQNConfig:
         drift: standard deviation of the log odds of exploratory actions in real episodes, drawn
             anew after every update: an exploring episode keeps its direction, as a random walk does
             not. 0 for a random walk. Dreams explore without.
+        explore_until_rewarded: let exploration stay at its first share for as long as no real step
+            has brought a reward above 0. A learner that has met nothing but punishment by the time
+            exploration ends learns to stay away from everything, and never finds out.
         optimizer: from a learning rate to an optax transformation.
     """
 
@@ -83,6 +86,7 @@ class DQNConfig:
     fake_capacity: int = 20_000
     fake_episodes: int = 4_000
     drift: float = 1.0
+    explore_until_rewarded: bool = False
     optimizer: Callable[[Any], optax.GradientTransformation] = optax.adam
 
     def __post_init__(self) -> None:

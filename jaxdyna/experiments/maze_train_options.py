@@ -15,7 +15,7 @@ from jaxdyna.experiments.maze_options import PAPER as FRAMES
 from jaxdyna.experiments.maze_options import decayed_adam
 from jaxdyna.losses import bce, l1, l2
 from jaxdyna.models import PixelConfig, PixelHParams
-from jaxdyna.networks import ConvolutionalQ, EncoderDecoder, GlimpseQ, JointReward, LocalDynamics
+from jaxdyna.networks import ConvolutionalQ, EncoderDecoder, GlimpseQ, LocalDynamics
 from jaxdyna.statistics import SolveRule
 
 ArmName = Literal["model_free", "dyna", "placebo", "oracle", "more_updates"]
@@ -75,7 +75,7 @@ class Options:
     """Transitions in each."""
     model: Literal["local", "paper"] = "local"
     """local: 3x3 convolutions, as --part model --arms lean; paper: Fig. 4, slower and to be trained
-    for much longer."""
+    for much longer. Both predict the reward from the picture that they predict."""
     model_widths: tuple[int, ...] = (32, 32)
     """Channels of the local model's convolutions."""
     model_loss: Literal["bce", "l2", "l1"] = "bce"
@@ -90,7 +90,9 @@ class Options:
     """Fake episodes in each."""
     dream_steps: int = 10
     """The longest fake episode; each begins at a real stack of frames."""
-    agent: DQNConfig = field(default_factory=lambda: DQNConfig(updates=50, fake_updates=100))
+    agent: DQNConfig = field(
+        default_factory=lambda: DQNConfig(updates=50, fake_updates=100, explore_until_rewarded=True)
+    )
     """DQN's counts."""
     hparams: DynaHParams = field(
         default_factory=lambda: DynaHParams(
@@ -177,7 +179,7 @@ def model_config(options: Options) -> PixelConfig:
     coder = EncoderDecoder(3, dense=FRAMES.dense)
     threshold = 0.2 if loss is bce else 0.5
     optimizer = decayed_adam(FRAMES.paper.weight_decay)
-    return PixelConfig(coder, loss, threshold, JointReward(), optimizer=optimizer)
+    return PixelConfig(coder, loss, threshold, optimizer=optimizer)
 
 
 PAPER = Options()
@@ -190,7 +192,7 @@ LEAN = replace(
     model_updates=100,
     dream_episodes=400,
     dream_steps=5,
-    agent=DQNConfig(updates=100, fake_updates=400, fake_capacity=64_000),
+    agent=replace(PAPER.agent, updates=100, fake_updates=400, fake_capacity=64_000),
     hparams=DynaHParams(
         agent=DQNHParams(epsilon_hold=15.0, epsilon_episodes=5.0),
         model=PixelHParams(3e-3),

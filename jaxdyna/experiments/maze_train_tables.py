@@ -41,6 +41,7 @@ def method(options: Options) -> str:
         "glimpse": "heads that each begin at one colour of the newest frame, its mean place and "
         "what is around it (a glimpse), and a perceptron",
     }[options.network]
+    until = " and until the goal has been met once" if agent.explore_until_rewarded else ""
     return "\n".join(
         [
             f"- Maze: {options.size}x{options.size} cells, {options.obstacles} obstacles, "
@@ -53,7 +54,7 @@ def method(options: Options) -> str:
             f"{hparams.target_rate:g}{' and acts' if agent.act_by_target else ''}. "
             f"{agent.updates} updates after a real episode.",
             f"- Exploration, in all arms: a share {hparams.epsilon_first:g} of random actions for "
-            f"{hparams.epsilon_hold:g} episodes, which falls to {hparams.epsilon_last:g} in "
+            f"{hparams.epsilon_hold:g} episodes{until}, which falls to {hparams.epsilon_last:g} in "
             f"{hparams.epsilon_episodes:g} more; what is random leans to directions that are drawn "
             f"for each episode (log odds of {agent.drift:g} standard deviation(s)).",
             f"- Model: {model}, loss {options.model_loss}; after every real "

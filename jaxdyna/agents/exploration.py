@@ -1,0 +1,53 @@
+"""How much a learner that is otherwise greedy explores."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from jaxdyna.agents.dqn_settings import DQNHParams
+from jaxdyna.types import Transition
+
+
+@struct.dataclass
+class Exploration:
+    """What decides it.
+
+    Attributes:
+        episodes: int32, real episodes counted so far.
+        rewarded: bool, whether a real step has brought a reward above 0 yet.
+        drift: ``[actions]``, log odds of exploratory actions.
+    """
+
+    episodes: jax.Array
+    rewarded: jax.Array
+    drift: jax.Array
+
+
+def init(num_actions: int) -> Exploration:
+    """Before the first episode: no direction."""
+    return Exploration(jnp.int32(0), jnp.bool_(False), jnp.zeros(num_actions))
+
+
+def count(
+    before: Exploration, real: Transition, hparams: DQNHParams, until_rewarded: bool
+) -> Exploration:
+    """After the real episodes ``[N, T]``. ``until_rewarded`` stops the count where exploration
+    would begin to fall, for as long as no step has brought a reward above 0.
+    """
+    episodes = before.episodes + real.mask.shape[0]
+    rewarded = before.rewarded | (real.mask * real.reward > 0).any()
+    if until_rewarded:
+        hold = jnp.asarray(hparams.epsilon_hold).astype(jnp.int32)
+        episodes = jnp.where(rewarded, episodes, jnp.minimum(episodes, hold))
+    return replace(before, episodes=episodes, rewarded=rewarded)
+
+
+def epsilon(state: Exploration, hparams: DQNHParams) -> jax.Array:
+    """The share of exploratory actions."""
+    falling = (state.episodes - hparams.epsilon_hold) / jnp.maximum(hparams.epsilon_episodes, 1e-6)
+    gone = jnp.clip(falling, 0, 1)
+    return hparams.epsilon_first + gone * (hparams.epsilon_last - hparams.epsilon_first)
