@@ -233,11 +233,15 @@ def test_a_new_run_sets_the_old_one_aside(tmp_path):
 
 def test_resume_with_further_arms_says_so(tmp_path):
     play(tmp_path, "--arms", "model_free")
+    alone = json.loads((tmp_path / "results.json").read_text())
+    alone["device"]["peak_memory_gib"] = 999.0
+    (tmp_path / "results.json").write_text(json.dumps(alone))
     play(tmp_path, "--arms", "oracle", "--resume")
     results = json.loads((tmp_path / "results.json").read_text())
     assert set(results["arms"]) == set(results["config"]["arms"]) == {"model_free", "oracle"}
     first, second = results["command"].split(" && ")
     assert "--arms model_free" in first and second.endswith("--arms oracle --resume")
+    assert results["device"]["peak_memory_gib"] == 999.0  # the most of both
 
 
 def test_double_precision(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -125,12 +124,11 @@ def torch_q_steps(batch: Any) -> Callable[[], None]:
     from torch import nn  # noqa: PLC0415
 
     def network() -> Any:
-        sizes = [48, 16, 16, 16]
-        layers: list[Any] = [nn.PixelUnshuffle(2)]
-        for a, b in itertools.pairwise(sizes):
-            layers += [nn.Conv2d(a, b, 3, padding=1), nn.ReLU()]
+        layers: list[Any] = [nn.Conv2d(12, 16, 2, stride=2), nn.ReLU()]
+        for features in (16, 32):
+            layers += [nn.Conv2d(16, features, 3, padding=1), nn.ReLU()]
         return nn.Sequential(
-            *layers, nn.Flatten(), nn.Linear(1024, 128), nn.ReLU(), nn.Linear(128, 6)
+            *layers, nn.Flatten(), nn.Linear(2048, 128), nn.ReLU(), nn.Linear(128, 6)
         )
 
     online, target = network(), network()

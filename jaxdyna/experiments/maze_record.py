@@ -31,6 +31,7 @@ class Record:
         command: as typed.
         curves: judgements by ``ARM@STAGE``.
         timing: seconds by arm.
+        earlier: what an earlier run left in ``results.json``.
     """
 
     options: Options
@@ -38,6 +39,7 @@ class Record:
     command: str
     curves: Curves = field(default_factory=dict)
     timing: Timing = field(default_factory=dict)
+    earlier: Results | None = None
     begun: float = field(default_factory=time.perf_counter)
 
     def write(self) -> Results:
@@ -51,7 +53,7 @@ class Record:
             "command": self.command,
             "preset": self.options.preset,
             "config": plain(self.options),
-            **report.environment(),
+            **report.environment(self.earlier),
             "timing": total | {"arms": self.timing},
             "arms": maze_scores.describe(self.curves, self.options),
         }
@@ -83,7 +85,7 @@ class Record:
                 "resume with the same, or choose another --out"
             )
         self.curves = read_curves(self.out / "curves.npz")
-        self.timing = before["timing"]["arms"]
+        self.timing, self.earlier = before["timing"]["arms"], before
         again = f"{self.command} --resume"
         more = before["command"] != self.command
         self.command = f"{before['command']} && {again}" if more else self.command

@@ -65,8 +65,8 @@ class Options:
     network: Literal["convolutions", "glimpse"] = "convolutions"
     """Of all arms' agents. convolutions: three and a dense layer. glimpse: what is around the
     places of a few things, at first one of each colour."""
-    convolutions: tuple[int, int, int] = (16, 16, 16)
-    """Their channels."""
+    convolutions: tuple[int, int, int] = (16, 16, 32)
+    """Their channels: one of 2x2 cells at a stride of 2, two of 3x3."""
     dense: int = 128
     """Width of the dense layer after them."""
     model_updates: int = 50
@@ -86,17 +86,21 @@ class Options:
     """At least this share of each model batch are collisions and goal steps; None: as they come."""
     dream_updates: int = 1
     """Times that dreams are played and learned from after each real episode."""
-    dream_episodes: int = 64
+    dream_episodes: int = 400
     """Fake episodes in each."""
-    dream_steps: int = 10
+    dream_steps: int = 5
     """The longest fake episode; each begins at a real stack of frames."""
     agent: DQNConfig = field(
-        default_factory=lambda: DQNConfig(updates=50, fake_updates=100, explore_until_rewarded=True)
+        default_factory=lambda: DQNConfig(
+            updates=50, fake_updates=400, fake_capacity=64_000, explore_until_rewarded=True
+        )
     )
     """DQN's counts."""
     hparams: DynaHParams = field(
         default_factory=lambda: DynaHParams(
-            agent=DQNHParams(), model=PixelHParams(3e-3), env=MazeParams()
+            agent=DQNHParams(epsilon_hold=30.0, target_rate=0.02),
+            model=PixelHParams(3e-3),
+            env=MazeParams(),
         )
     )
     """Learning rates, discount, rewards: what `jaxdyna.sweep` can sweep."""
@@ -190,9 +194,7 @@ LEAN = replace(
     episodes=150,
     real_first=15,
     model_updates=100,
-    dream_episodes=400,
-    dream_steps=5,
-    agent=replace(PAPER.agent, updates=100, fake_updates=400, fake_capacity=64_000),
+    agent=replace(PAPER.agent, updates=100),
     hparams=DynaHParams(
         agent=DQNHParams(epsilon_hold=15.0, epsilon_episodes=5.0),
         model=PixelHParams(3e-3),

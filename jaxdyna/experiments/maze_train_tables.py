@@ -36,8 +36,8 @@ def method(options: Options) -> str:
         else ""
     )
     network = {
-        "convolutions": f"convolutions of {options.convolutions} channels and a dense layer of "
-        f"{options.dense}",
+        "convolutions": f"convolutions of {options.convolutions} channels (of 2x2 cells at a "
+        f"stride of 2, then of 3x3) and a dense layer of {options.dense}",
         "glimpse": "heads that each begin at one colour of the newest frame, its mean place and "
         "what is around it (a glimpse), and a perceptron",
     }[options.network]

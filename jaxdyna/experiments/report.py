@@ -140,9 +140,12 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def environment() -> Results:
-    """Versions and device, for ``results.json``."""
+def environment(earlier: Results | None = None) -> Results:
+    """Versions and device, for ``results.json``; of memory the most that this process or, where it
+    goes on with an ``earlier`` run, that one has taken.
+    """
     device = jax.devices()[0]
+    peaks = [peak_memory_gib(), ((earlier or {}).get("device") or {}).get("peak_memory_gib")]
     return {
         "versions": {"jaxdyna": jaxdyna.__version__, "python": platform.python_version()}
         | {name: version(name) for name in PACKAGES},
@@ -151,7 +154,7 @@ def environment() -> Results:
             "kind": device.device_kind,
             "count": jax.device_count(),
             "cpu_cores": cores(),
-            "peak_memory_gib": peak_memory_gib(),
+            "peak_memory_gib": max((peak for peak in peaks if peak is not None), default=None),
         },
     }
 

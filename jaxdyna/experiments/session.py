@@ -96,6 +96,7 @@ class Session:
         """Runs the arms; returns the exit code: 0, 2 on bad input, 130 after Ctrl-C."""
         self._began, self._earlier_s, self._command = time.perf_counter(), 0.0, self._as_typed()
         self._timing: dict[str, dict[str, float]] = {}
+        self._earlier: Results | None = None
         curves: dict[str, Curves] = {}
         try:
             cli.check_writable(self.out)
@@ -175,6 +176,7 @@ class Session:
         if finished is None or newer | finished != now:
             return {}
         timing = results["timing"]
+        self._earlier = results
         self._earlier_s = max(timing["total_s"], timing["compile_s"] + timing["run_s"])
         self._timing = timing["arms"]
         if results["command"] != self._command:
@@ -217,7 +219,7 @@ class Session:
             "command": self._command,
             "preset": self.options.preset,
             "config": plain(self.options) | {"arms": list(curves)},
-            **environment(),
+            **environment(self._earlier),
             "timing": total | {"total_s": total_s, "arms": self._timing},
             "arms": arms,
             "ratio_to_model_free": compare(arms, "model_free"),

@@ -12,18 +12,17 @@ from jaxdyna.networks.layers import Convolution
 
 
 class ConvolutionalQ(nn.Module):
-    """Values of actions from a picture by three convolutions and a dense layer (Mnih et al. 2015).
-    Cells are first folded two by two into channels: a first convolution of 6x6 cells at a stride
-    of 2.
+    """Values of actions from a picture by three convolutions and a dense layer (Mnih et al. 2015):
+    the first of 2x2 cells at a stride of 2, the others of 3x3 at a stride of 1.
 
     Attributes:
         num_actions: how many values.
-        widths: of the 3x3 convolutions.
+        widths: channels of the convolutions.
         dense: width of the dense layer.
     """
 
     num_actions: int
-    widths: tuple[int, int, int] = (16, 16, 16)
+    widths: tuple[int, int, int] = (16, 16, 32)
     dense: int = 128
 
     @nn.compact
@@ -33,8 +32,8 @@ class ConvolutionalQ(nn.Module):
         even = jnp.pad(stack, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)))
         height, width = even.shape[1] // 2, even.shape[2] // 2
         x = even.reshape(count, height, 2, width, 2, channels).transpose(0, 1, 3, 2, 4, 5)
-        x = x.reshape(count, height, width, 4 * channels)
-        for features in self.widths:
+        x = nn.relu(nn.Dense(self.widths[0])(x.reshape(count, height, width, 4 * channels)))
+        for features in self.widths[1:]:
             x = nn.relu(Convolution(features, 3, 1)(x))
         x = nn.relu(nn.Dense(self.dense)(x.reshape(count, -1)))
         return _dueling(nn.Dense(self.num_actions + 1)(x))
