@@ -13,7 +13,8 @@ from jaxdyna.networks.layers import Convolution
 
 class ConvolutionalQ(nn.Module):
     """Values of actions from a picture by three convolutions and a dense layer (Mnih et al. 2015):
-    the first of 2x2 cells at a stride of 2, the others of 3x3 at a stride of 1.
+    the first of 2x2 cells at a stride of 2, the others of 3x3 at a stride of 1. The dense layer is
+    normalised (Ball et al. 2023): without that many updates a real step drive values to infinity.
 
     Attributes:
         num_actions: how many values.
@@ -35,7 +36,7 @@ class ConvolutionalQ(nn.Module):
         x = nn.relu(nn.Dense(self.widths[0])(x.reshape(count, height, width, 4 * channels)))
         for features in self.widths[1:]:
             x = nn.relu(Convolution(features, 3, 1)(x))
-        x = nn.relu(nn.Dense(self.dense)(x.reshape(count, -1)))
+        x = nn.relu(nn.LayerNorm()(nn.Dense(self.dense)(x.reshape(count, -1))))
         return _dueling(nn.Dense(self.num_actions + 1)(x))
 
 
