@@ -215,3 +215,5 @@ def test_every_lever_is_told_apart_from_the_preset():
         (arm.dyna.model, arm.config, arm.hparams, arm.dyna.agent) for arm in arms.values()
     )
     assert len(arms) > 20 and all(other != base for other in others)
+    judged = [name for name, arm in arms.items() if arm.dyna.diagnose is not None]
+    assert sum(not name.startswith(maze_levers.OTHER) for name in judged) == 12

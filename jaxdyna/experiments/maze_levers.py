@@ -123,7 +123,7 @@ MEASURE = Measure(
     said="The error is the share of frames that are predicted wrong anywhere, one step ahead. "
     "Every model is judged on the same new episodes: half of a uniformly random policy, half of "
     "one that drifts to the goal.",
-    lines=("true environment as the model", "model-free"),
+    lines=("true environment as the model", "model-free", "model-free, as many updates"),
     hollow=OTHER,
 )
 LEVERS = Variants(

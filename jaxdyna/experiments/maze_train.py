@@ -125,7 +125,7 @@ def make_arms(options: Options) -> dict[str, Arm]:
     config, hparams = dyna_config(options), options.hparams
     hparams = replace(hparams, env=replace(hparams.env, max_steps=options.steps))
     untrained = replace(hparams, model_trains=False, disagreement_threshold=math.inf)
-    all_real = replace(hparams.agent, fake_share=0.0)
+    all_real = replace(untrained, agent=replace(hparams.agent, fake_share=0.0))
     alone = dyna._replace(model=None, dream=None, diagnose=None)
     oracle = alone._replace(dream=Dream(dyna.env, lambda _, hparams: hparams.env))
     whole = max(1, options.dream_episodes * options.dream_steps // options.steps)
@@ -133,7 +133,7 @@ def make_arms(options: Options) -> dict[str, Arm]:
         "model_free": Arm(alone, config, hparams),
         "dyna": Arm(dyna, config, hparams),
         "placebo": Arm(dyna, config, untrained),
-        "more_updates": Arm(dyna, config, replace(untrained, agent=all_real)),
+        "more_updates": Arm(dyna._replace(diagnose=None), config, all_real),
         "oracle": Arm(oracle, replace(config, dream_episodes=whole, dream_steps=None), hparams),
     }
 

@@ -52,34 +52,34 @@ class Options:
     """Folder for the results; runs/maze-PRESET by default."""
     resume: bool = False
     """Go on with the run in that folder, bit for bit."""
-    stop_after_solved: int | None = 0
+    stop_after_solved: int | None = 50
     """Episodes an arm plays on once all its seeds have solved; None plays all of them."""
     size: int = 16
     """Cells a side of the board."""
     obstacles: int = 5
-    """How many of them."""
+    """How many obstacles."""
     steps: int = 200
     """Steps of a real episode."""
     real_first: int = 100
     """N of the paper: real episodes before the first dream."""
     network: Literal["convolutions", "glimpse"] = "convolutions"
-    """Of all arms' agents. convolutions: three and a dense layer. glimpse: what is around the
-    places of a few things, at first one of each colour."""
+    """Network of the agent, the same in all arms. convolutions: three and a dense layer. glimpse:
+    what is around the places of a few things, at first one of each colour."""
     convolutions: tuple[int, int, int] = (16, 16, 32)
-    """Their channels: one of 2x2 cells at a stride of 2, two of 3x3."""
+    """Channels of the network's convolutions: one of 2x2 cells at a stride of 2, two of 3x3."""
     dense: int = 128
-    """Width of the dense layer after them."""
+    """Width of the dense layer after the network's convolutions."""
     model_updates: int = 50
     """Gradient steps of the model after each real episode."""
     model_batch: int = 32
-    """Transitions in each."""
+    """Transitions in each gradient step of the model."""
     model: Literal["local", "paper"] = "local"
-    """local: 3x3 convolutions, as --part model --arms lean; paper: Fig. 4, slower and to be trained
-    for much longer. Both predict the reward from the picture that they predict."""
+    """Network of the model. local: 3x3 convolutions; paper: Fig. 4, slower and to be trained for
+    much longer. Both read the reward off the picture that they predict."""
     model_widths: tuple[int, ...] = (32, 32)
     """Channels of the local model's convolutions."""
     model_loss: Literal["bce", "l2", "l1"] = "bce"
-    """Of its pixels."""
+    """Loss of the model's pixels."""
     replay_capacity: int | None = None
     """Newest real transitions that the model learns from and dreams begin at; None: all."""
     rare_share: float | None = 0.25
@@ -87,7 +87,7 @@ class Options:
     dream_updates: int = 1
     """Times that dreams are played and learned from after each real episode."""
     dream_episodes: int = 400
-    """Fake episodes in each."""
+    """Fake episodes each of these times."""
     dream_steps: int = 5
     """The longest fake episode; each begins at a real stack of frames."""
     agent: DQNConfig = field(
@@ -95,7 +95,7 @@ class Options:
             updates=50, fake_updates=400, fake_capacity=64_000, explore_until_rewarded=True
         )
     )
-    """DQN's counts."""
+    """Updates, batches and replays of the agent (DQN)."""
     hparams: DynaHParams = field(
         default_factory=lambda: DynaHParams(
             agent=DQNHParams(epsilon_hold=30.0, target_rate=0.02),
@@ -176,7 +176,7 @@ def agent_config(options: Options) -> DQNConfig:
 
 
 def model_config(options: Options) -> PixelConfig:
-    """The model's, as ``--part model`` has it."""
+    """The model's network, loss and optimiser."""
     loss = {"bce": bce, "l1": l1, "l2": l2}[options.model_loss]
     if options.model == "local":
         return PixelConfig(LocalDynamics(3, tuple(options.model_widths)), loss)

@@ -31,6 +31,7 @@ MEASURES = {
     "wrong_frames": "share of new frames predicted wrong",
 }
 FILMED = (1, 50, 100, 200)
+SMOOTHED = 10
 FILM_STEPS = 100
 Curves = dict[str, np.ndarray]
 
@@ -90,14 +91,15 @@ class MazeReport:
             solved_at,
             self.options.real_first,
             what="share of oracle",
+            window=SMOOTHED,
         )
-        plots.solved_share(
-            out / "solved.png", {name: at - WINDOW + 1 for name, at in solved_at.items()}
-        )
+        begins = {name: at - WINDOW + 1 for name, at in solved_at.items()}
+        known = {name: arm.shape[1] - WINDOW + 1 for name, arm in shares.items()}
+        plots.solved_share(out / "solved.png", begins, known)
         said = {title: {name: arm[key] for name, arm in curves.items() if key in arm}
                 for key, title in MEASURES.items()}  # fmt: skip
         plots.behaviour(
-            out / "behaviour.png", {title: arms for title, arms in said.items() if arms}
+            out / "behaviour.png", {title: arms for title, arms in said.items() if arms}, SMOOTHED
         )
         for name, arm in curves.items():
             columns = self._film(arm, solved_at[name][0])
@@ -108,11 +110,12 @@ class MazeReport:
         that it solved with, or else the last of all.
         """
         played = curves["film_action"].shape[1]
-        end = int(min(solved_at, played))
-        titles = {number: f"episode {number}" for number in (*FILMED, end) if number <= end}
-        titles[end] += " (solved)" if solved_at <= played else ""
+        end, first = int(min(solved_at, played)), self.options.real_first
+        stages = sorted({number for number in (*FILMED, first, first + 10, end) if number <= end})
+        titles = {number: f"episode {number}" for number in stages}
+        titles[end] += " (solved)" if solved_at <= played else " (last, unsolved)"
         columns = {}
-        for number, title in sorted(titles.items()):
+        for number, title in titles.items():
             placed, headed, done = (
                 curves[f"film_{part}"][0, number - 1]
                 for part in ("obstacles", "directions", "action")
@@ -142,11 +145,12 @@ class MazeReport:
             "is predicted wrong where any pixel is, one step ahead; each real episode is judged "
             "before the model learns from it.",
             "![collisions, steps until the goal, frames predicted wrong](behaviour.png)",
-            f"Real episodes of the first run, their first {FILM_STEPS} steps:",
+            f"Real episodes of the first run, their first {FILM_STEPS} steps. Blue is the agent, "
+            "red an obstacle, green the goal; where they were before is fainter.",
             *(f"![real episodes of {name}](film_{name}.gif)" for name in results["arms"]),
             "## The final policy",
-            f"Greedy, each run's on {STARTS:,} new starts: share of the oracle's return, and "
-            "collisions an episode.",
+            f"Greedy, each run's on {STARTS:,} new starts, as it is after the last episode that "
+            "the arm played: share of the oracle's return, and collisions an episode.",
             markdown_table(*tables.greedy(results)),
             "## How",
             tables.method(self.options),
@@ -166,7 +170,11 @@ class MazeReport:
         console.print(f"{timing['total_s']:.0f} s in all")
 
     def _comparison(self, results: Results) -> list[str]:
-        return report.comparison(results, {"dyna": PAPER_RATIO})
+        lines = report.comparison(results, {"dyna": PAPER_RATIO})
+        if not {"dyna", "more_updates"} <= set(results["arms"]):
+            return lines
+        both = {name: results["arms"][name] for name in ("dyna", "more_updates")}
+        return lines + report.comparison({"arms": both}, {}, "more_updates")
 
 
 def replay_frames(

@@ -23,7 +23,7 @@ def method(options: Options) -> str:
     rare = (
         "as they come"
         if options.rare_share is None
-        else (f"collisions and goal steps at least {options.rare_share / 2:g} of them each")
+        else f"at least {options.rare_share / 2:.1%} of each collisions and as much goal steps"
     )
     model = {
         "local": f"3x3 convolutions of {options.model_widths} channels",
@@ -41,6 +41,7 @@ def method(options: Options) -> str:
         "glimpse": "heads that each begin at one colour of the newest frame, its mean place and "
         "what is around it (a glimpse), and a perceptron",
     }[options.network]
+    acting = ", by which it acts" if agent.act_by_target else ""
     until = " and until the goal has been met once" if agent.explore_until_rewarded else ""
     return "\n".join(
         [
@@ -49,22 +50,22 @@ def method(options: Options) -> str:
             f"on the goal {options.hparams.env.goal_reward:+g}.",
             f"- Agent, in all arms: {'Double ' if agent.double else ''}DQN on four stacked frames, "
             f"{network}; {agent.n_step}-step targets, discount {hparams.discount:g}, Adam at "
-            f"{hparams.learning_rate:g}, batches of {agent.batch}, prioritised to the power of "
-            f"{hparams.priority_exponent:g}, a target network that follows by "
-            f"{hparams.target_rate:g}{' and acts' if agent.act_by_target else ''}. "
-            f"{agent.updates} updates after a real episode.",
-            f"- Exploration, in all arms: a share {hparams.epsilon_first:g} of random actions for "
-            f"{hparams.epsilon_hold:g} episodes{until}, which falls to {hparams.epsilon_last:g} in "
-            f"{hparams.epsilon_episodes:g} more; what is random leans to directions that are drawn "
-            f"for each episode (log odds of {agent.drift:g} standard deviation(s)).",
+            f"{hparams.learning_rate:g}, batches of {agent.batch} drawn by priority with an "
+            f"exponent of {hparams.priority_exponent:g}, a target network that moves by "
+            f"{hparams.target_rate:g} of the difference{acting}. {agent.updates} updates after a "
+            "real episode.",
+            f"- Exploration, in all arms: {hparams.epsilon_first:.0%} of the actions are random "
+            f"for {hparams.epsilon_hold:g} episodes{until}, {hparams.epsilon_last:.0%} after "
+            f"{hparams.epsilon_episodes:g} more. Each episode's random actions have odds of their "
+            f"own (normal log odds, standard deviation {agent.drift:g}): that gives a direction.",
             f"- Model: {model}, loss {options.model_loss}; after every real "
             f"episode {options.model_updates} updates on batches of {options.model_batch}, {rare}.",
             f"- Dreams: from real episode {options.real_first} on, after each, "
             f"{options.dream_updates} x {options.dream_episodes} of {options.dream_steps} steps, "
-            f"each from any real stack of frames{cut}, a share "
-            f"{hparams.epsilon_fake:g} of their actions random; then {agent.fake_updates} updates, "
-            f"a share {hparams.fake_share:g} of each batch dreamed. Once there are dreams, the "
-            "updates after a real episode draw them as well.",
+            f"each from any real stack of frames{cut}, {hparams.epsilon_fake:.0%} of their actions "
+            f"random; then {agent.fake_updates} updates on batches of which "
+            f"{hparams.fake_share:.0%} is dreamed. Once there are dreams, the updates after a real "
+            "episode draw them as well.",
             CONTROLS,
             f"- Not the paper's, or not said there: {_differences(options)}.",
         ]
@@ -72,21 +73,29 @@ def method(options: Options) -> str:
 
 
 def _differences(options: Options) -> str:
-    said = [
-        "Double DQN with dueling values, Huber's loss, draws by priority with an importance "
-        f"exponent of {options.hparams.agent.importance_exponent:g}, and acting by the averaged "
-        "network",
-        "directed exploration",
-        "the number of updates (the authors' code makes one a real step)",
-        "several short dreams after each real episode, which begin at replayed frames",
-    ]
-    if options.model == "local":
-        said.append("a model of local convolutions instead of Fig. 4")
-    if options.network == "glimpse":
-        said.append("glimpses instead of convolutions")
-    if options.real_first != PAPER_N:
-        said.append(f"N = {options.real_first} (the paper's is {PAPER_N})")
-    return "; ".join(said)
+    agent, hparams = options.agent, options.hparams.agent
+    said = {
+        "Double DQN": agent.double,
+        "dueling values and Huber's loss": True,
+        f"draws by priority (importance exponent {hparams.importance_exponent:g})": (
+            hparams.priority_exponent > 0
+        ),
+        "acting by the averaged network": agent.act_by_target,
+        "a dense layer that is normalised": options.network == "convolutions",
+        "glimpses instead of convolutions, the first heads on the colours": (
+            options.network == "glimpse"
+        ),
+        f"a discount of {hparams.discount:g} (the authors' code has 1)": hparams.discount < 1,
+        "directed exploration": agent.drift > 0,
+        "exploring until a reward": agent.explore_until_rewarded,
+        "the number of updates (the authors' code makes one a real step)": True,
+        "several short dreams after each real episode, which begin at replayed frames": True,
+        "a model of local convolutions instead of Fig. 4": options.model == "local",
+        "rewards read off the predicted picture as a sum over its cells": True,
+        "rare steps drawn more often for the model": options.rare_share is not None,
+        f"N = {options.real_first} (the paper's is {PAPER_N})": options.real_first != PAPER_N,
+    }
+    return "; ".join(text for text, applies in said.items() if applies)
 
 
 def greedy(results: Results) -> Table:
@@ -97,19 +106,24 @@ def greedy(results: Results) -> Table:
         rows.append(
             [
                 name,
+                f"{arm['episodes_played']}",
                 f"{share['mean']:.3f} ({interval(share['ci95'], 3)})",
                 f"{hits['mean']:.2f} ({interval(hits['ci95'], 2)})",
             ]
         )
-    return ["arm", "share of the oracle's return", "collisions"], rows
+    return ["arm", "real episodes played", "share of the oracle's return", "collisions"], rows
 
 
 def time(results: Results) -> Table:
-    """Seconds of each arm."""
+    """Seconds of each arm, and of all."""
+    timing = results["timing"]
+    rest = timing["total_s"] - timing["compile_s"] - timing["run_s"]
     rows = [
         [name, f"{arm['compile_s']:.0f}", f"{arm['run_s']:.0f}"]
-        for name, arm in results["timing"]["arms"].items()
+        for name, arm in timing["arms"].items()
     ]
+    rows.append(["judging, measuring, drawing", "", f"{rest:.0f}"])
+    rows.append(["all", "", f"{timing['total_s']:.0f}"])
     cores = results["device"]["cpu_cores"]
     return [f"arm ({cores} cores)", "compiling (s)", "running (s)"], rows
 
@@ -132,5 +146,8 @@ def cost(results: Results) -> list[str]:
         markdown_table(["arm", "part", "ms", "share", "floor (ms)"], rows),
     ]
     if peak is not None:
-        paragraphs.append(f"The process took {peak:.1f} GiB of memory at the most.")
+        paragraphs.append(
+            f"The process took {peak:.1f} GiB of memory at the most, for "
+            f"{results['config']['seeds']} runs of an arm at a time."
+        )
     return paragraphs

@@ -17,6 +17,7 @@ COLOURS = {
     "dyna": "#0f7b6c",
     "placebo": "#b5651d",
     "oracle": "#6a4c93",
+    "more_updates": "#c2185b",
 }
 
 
@@ -27,6 +28,7 @@ def learning_curves(
     solved_at: Mapping[str, np.ndarray],
     real_first: int,
     what: str = "return",
+    window: int | None = None,
 ) -> None:
     """Figs. 6 and 8: a panel an arm, real return against real episodes.
 
@@ -37,8 +39,9 @@ def learning_curves(
         solved_at: by arm, ``[seeds]``, infinity where unsolved.
         real_first: N, where dreaming begins.
         what: the returns are, on the axis.
+        window: episodes in the running mean; None: `smoothing_window`.
     """
-    window = smoothing_window(max(values.shape[1] for values in returns.values()))
+    window = window or smoothing_window(max(values.shape[1] for values in returns.values()))
     figure, panels = plt.subplots(
         1, len(returns), figsize=(5.2 * len(returns), 4.2), sharex=True, sharey=True, squeeze=False
     )
@@ -71,16 +74,16 @@ def learning_curves(
     save(figure, path)
 
 
-def behaviour(path: Path, panels: Mapping[str, Mapping[str, np.ndarray]]) -> None:
+def behaviour(path: Path, panels: Mapping[str, Mapping[str, np.ndarray]], window: int) -> None:
     """What episodes are like against their number, a panel a measure, all arms in it.
 
     Args:
         path: the PNG.
         panels: by the measure's name and arm, ``[seeds, episodes]``.
+        window: episodes in the running mean.
     """
-    figure, axes = plt.subplots(1, len(panels), figsize=(5.6 * len(panels), 3.8), squeeze=False)
+    figure, axes = plt.subplots(1, len(panels), figsize=(5.6 * len(panels), 4.4), squeeze=False)
     for panel, (title, arms) in zip(axes[0], panels.items(), strict=True):
-        window = smoothing_window(max(values.shape[1] for values in arms.values()))
         for name, values in arms.items():
             smooth = running_mean(values, window)
             low, high = mean_interval(smooth)
@@ -156,29 +159,36 @@ def prediction_figure(
     save(figure, path, top=0.96)
 
 
-def solved_share(path: Path, first_solved: Mapping[str, np.ndarray]) -> None:
+def solved_share(
+    path: Path, first_solved: Mapping[str, np.ndarray], known: Mapping[str, int] | None = None
+) -> None:
     """The share of the runs whose solving window has begun, against real episodes.
 
     Args:
         path: the PNG.
         first_solved: by arm, number of the window's first episode ``[seeds]``, infinity where
             unsolved.
+        known: by arm the last episode at which it is known, where its line ends; None draws all to
+            the latest one, on a logarithmic axis.
     """
     figure, panel = plt.subplots(figsize=(6.4, 3.6))
     latest = max([values[np.isfinite(values)].max(initial=2) for values in first_solved.values()])
     for name, values in first_solved.items():
         numbers = np.sort(values)
         share = np.arange(1, len(numbers) + 1) / len(numbers)
-        known = np.isfinite(numbers)
+        solved = np.isfinite(numbers)
+        end = known[name] if known else latest * 1.05
         panel.step(
-            np.concatenate([[1], numbers[known], [latest * 1.05]]),
-            np.concatenate([[0], share[known], [known.mean()]]),
+            np.concatenate([[1], numbers[solved], [end]]),
+            np.concatenate([[0], share[solved], [solved.mean()]]),
             where="post",
             color=colour(name),
             label=f"{name} ({len(numbers)} runs)",
         )
-    panel.set_xscale("log")
-    panel.set_xlabel("first real episode of the solving window (logarithmic)")
+    if known is None:
+        panel.set_xscale("log")
+    axis = "first real episode of the solving window"
+    panel.set_xlabel(axis if known else f"{axis} (logarithmic)")
     panel.set_ylabel("share of the runs")
     panel.set_ylim(-0.02, 1.02)
     panel.legend(fontsize=8, frameon=False)

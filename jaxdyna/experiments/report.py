@@ -91,18 +91,20 @@ def compare(arms: Results, baseline: str) -> Results:
     }
 
 
-def comparison(results: Results, paper: Mapping[str, float]) -> list[str]:
-    """The ratios to model_free in words, a line an arm, the paper's own beside those it gives."""
+def comparison(
+    results: Results, paper: Mapping[str, float], baseline: str = "model_free"
+) -> list[str]:
+    """The ratios to a baseline in words, a line an arm, the paper's own beside those it gives."""
     lines = []
-    for name, ratio in results["ratio_to_model_free"].items():
+    for name, ratio in compare(results["arms"], baseline).items():
         if ratio["ratio"] is None:
-            lines.append(f"A run of {name} did not solve, so its ratio to model_free is unknown.")
+            lines.append(f"A run of {name} did not solve, so its ratio to {baseline} is unknown.")
             continue
         said = f"; the paper's is {paper[name]}" if name in paper else ""
         most = "at most " if ratio["bound"] else ""
-        why = ", because model_free has unsolved runs" if ratio["bound"] else ""
+        why = f", because {baseline} has unsolved runs" if ratio["bound"] else ""
         lines.append(
-            f"{name} needs {most}**{ratio['ratio']:.2f}** of model_free's episodes{why} "
+            f"{name} needs {most}**{ratio['ratio']:.2f}** of {baseline}'s episodes{why} "
             f"(95% interval {interval(ratio['ci95'], 2)}{said})."
         )
     return lines

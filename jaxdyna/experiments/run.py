@@ -98,7 +98,8 @@ class Runner:
                 state, metrics = proceed(state, episodes, arm.hparams)
                 pieces.append(jax.tree.map(lambda leaf: np.asarray(leaf[0]), metrics))
                 run_s += time.perf_counter() - began
-                due = time.perf_counter() - saved > pause
+                wait = CHECKPOINT_SECONDS if self._over(pieces, total) else pause
+                due = time.perf_counter() - saved > wait
                 if checkpoints and (due or interrupted):
                     began = time.perf_counter()
                     checkpoints.save(_episodes(pieces), state, join(pieces), run_s)

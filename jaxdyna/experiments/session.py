@@ -144,7 +144,7 @@ class Session:
                     continue
                 runner.report = bars.reporter(name)
                 done = runner.run(name, arm, resume=self.options.resume)
-                bars.add_note(name, "judging the model")
+                bars.add_note(name, "judging")
                 key = jax.random.fold_in(jax.random.key(self.options.seed), JUDGING)
                 curves[name] = slim(
                     done.metrics | self.report.analyse(arm, done, key), self.slim_above
