@@ -24,7 +24,7 @@ from jaxdyna.statistics import bootstrap_interval, episodes_to_solve
 
 PAPER = {"model_free": 700.0, "dyna": 250.0}
 PAPER_RATIO = 0.36
-STARTS = 1000
+STARTS, AT_ONCE = 1000, 100
 MEASURES = {
     "collisions": "collisions an episode",
     "time_to_goal": "steps until the goal",
@@ -51,12 +51,12 @@ class MazeReport:
         greedy = replace(arm.hparams.agent, epsilon_first=0.0, epsilon_last=0.0)
         policies = replace(run.state.agent, real=None, fake=None)
 
-        def judge(state, key):
+        def judge_some(state, key):
             def act(obs, key):
                 return agent.act(state, obs, key, greedy)
 
-            played = rollout(env, act, key, params, STARTS, num_steps=steps)
-            starts = first_states(env, jax.random.clone(key), params, STARTS).env
+            played = rollout(env, act, key, params, AT_ONCE, num_steps=steps)
+            starts = first_states(env, jax.random.clone(key), params, AT_ONCE).env
             plans = jax.vmap(lambda start: solve_maze(env.env, start, params, steps))(starts)
             hit = (played.next_obs[..., -3] & played.next_obs[..., -1]).any((-1, -2))
             return {
@@ -64,6 +64,11 @@ class MazeReport:
                 "greedy_oracle": plans.best_return,
                 "greedy_collisions": hit.sum(-1),
             }
+
+        def judge(state, key):
+            keys = jax.random.split(key, STARTS // AT_ONCE)
+            some = jax.lax.map(lambda key: judge_some(state, key), keys)
+            return jax.tree.map(jnp.ravel, some)
 
         key, key_cost = jax.random.split(key)
         keys = jax.random.split(key, len(jax.tree.leaves(policies)[0]))

@@ -108,7 +108,7 @@ class Runner:
                 if interrupted:
                     raise KeyboardInterrupt
         self.report("done", _episodes(pieces), total, int(self._solved(pieces).sum()))
-        return ArmRun(join(pieces), jax.tree.map(lambda leaf: leaf[0], state), compile_s, run_s)
+        return ArmRun(join(pieces), jax.tree.map(_only_setting, state), compile_s, run_s)
 
     def _compile(self, arm: Arm, piece: int) -> tuple[DynaState, Callable]:
         """The runs before their first episode, and what plays a piece of them."""
@@ -141,6 +141,13 @@ class Runner:
             return done >= total
         last = episodes_to_solve(self.rule.score(join(pieces)), self.rule).max()
         return done >= last + self.stop_after_solved
+
+
+def _only_setting(leaf: jax.Array) -> jax.Array:
+    """Without the axis of settings; frees the leaf, so that no two replays are held at a time."""
+    one = leaf[0]
+    leaf.delete()
+    return one
 
 
 def piece_length(total: int, about: int) -> int:
