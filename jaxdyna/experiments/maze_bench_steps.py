@@ -128,7 +128,12 @@ def torch_q_steps(batch: Any) -> Callable[[], None]:
         for features in (16, 32):
             layers += [nn.Conv2d(16, features, 3, padding=1), nn.ReLU()]
         return nn.Sequential(
-            *layers, nn.Flatten(), nn.Linear(2048, 128), nn.ReLU(), nn.Linear(128, 6)
+            *layers,
+            nn.Flatten(),
+            nn.Linear(2048, 128),
+            nn.LayerNorm(128),
+            nn.ReLU(),
+            nn.Linear(128, 6),
         )
 
     online, target = network(), network()

@@ -81,7 +81,7 @@ def _differences(options: Options) -> str:
             hparams.priority_exponent > 0
         ),
         "acting by the averaged network": agent.act_by_target,
-        "a dense layer that is normalised": options.network == "convolutions",
+        "dense layers that are normalised": True,
         "glimpses instead of convolutions, the first heads on the colours": (
             options.network == "glimpse"
         ),

@@ -45,7 +45,8 @@ class GlimpseQ(nn.Module):
     where that is and on a glimpse of what is around it. A head's map is a mixture of the stack's
     channels; the mean place on it is a feature point (Finn et al. 2016), and a glimpse is read
     there by rows, then by columns (Gregor et al. 2015): small matrix products, far
-    fewer operations than convolutions over the whole picture.
+    fewer operations than convolutions over the whole picture. The perceptron is normalised as
+    `ConvolutionalQ` is.
 
     Attributes:
         num_actions: how many values.
@@ -72,7 +73,7 @@ class GlimpseQ(nn.Module):
         seen = glimpses(x, by_row, by_column, self.size).reshape(count, -1)
         seen = jnp.concatenate([seen, place], axis=-1)
         for features in self.hidden:
-            seen = nn.relu(nn.Dense(features)(seen))
+            seen = nn.relu(nn.LayerNorm()(nn.Dense(features)(seen)))
         return _dueling(nn.Dense(self.num_actions + 1)(seen))
 
 
