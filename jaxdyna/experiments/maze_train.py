@@ -19,6 +19,7 @@ from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, Metrics
 from jaxdyna.envs import FrameStack, Maze, MazeParams
 from jaxdyna.envs.stack import StackState
 from jaxdyna.experiments import cli
+from jaxdyna.experiments.maze_oracle import ReplayedMaze, ReplayedParams
 from jaxdyna.experiments.maze_train_options import (
     PRESETS,
     QUICK,
@@ -117,8 +118,8 @@ def behaviour(
 
 
 def make_arms(options: Options) -> dict[str, Arm]:
-    """The arms by name, each from the same parts. The oracle's dreams are whole episodes of the
-    true maze, about as many steps of them as the others dream.
+    """The arms by name, each from the same parts. The oracle's dreams begin where those of ``dyna``
+    do and are as many and as long, but the true maze goes on from there.
     """
     maze = Maze(options.size, options.obstacles)
     dyna = make_dyna(Parts(maze, agent_config(options), model_config(options), options.steps))
@@ -127,15 +128,24 @@ def make_arms(options: Options) -> dict[str, Arm]:
     untrained = replace(hparams, model_trains=False, disagreement_threshold=math.inf)
     all_real = replace(untrained, agent=replace(hparams.agent, fake_share=0.0))
     alone = dyna._replace(model=None, dream=None, diagnose=None)
-    oracle = alone._replace(dream=Dream(dyna.env, lambda _, hparams: hparams.env))
-    whole = max(1, options.dream_episodes * options.dream_steps // options.steps)
+    oracle = dyna._replace(dream=true_dream(maze), diagnose=None)
     return {
         "model_free": Arm(alone, config, hparams),
         "dyna": Arm(dyna, config, hparams),
         "placebo": Arm(dyna, config, untrained),
         "more_updates": Arm(dyna._replace(diagnose=None), config, all_real),
-        "oracle": Arm(oracle, replace(config, dream_episodes=whole, dream_steps=None), hparams),
+        "oracle": Arm(oracle, replace(config, model_updates=0), hparams),
     }
+
+
+@cache
+def true_dream(maze: Maze) -> Dream:
+    """The oracle's dreams."""
+
+    def params(state: DynaState, hparams: DynaHParams) -> ReplayedParams:
+        return ReplayedParams(hparams.env, state.replay, hparams.env.max_steps)
+
+    return Dream(ReplayedMaze(FrameStack(maze)), params)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -45,9 +45,9 @@ class Options:
     episodes: int = 500
     """Real episodes of a run at the most."""
     arms: tuple[ArmName, ...] = ("model_free", "dyna")
-    """model_free, dyna, and the controls: placebo never trains its model; oracle dreams whole
-    episodes in the true environment; more_updates makes dyna's updates, all of them on real
-    transitions."""
+    """model_free, dyna, and the controls: placebo never trains its model; oracle dreams in
+    the true environment, from the same frames; more_updates makes dyna's updates, all of them on
+    real transitions."""
     out: Path | None = None
     """Folder for the results; runs/maze-PRESET by default."""
     resume: bool = False

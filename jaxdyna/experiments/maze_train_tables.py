@@ -10,9 +10,9 @@ from jaxdyna.experiments.report import Results, interval, markdown_table
 
 PAPER_N = 100
 CONTROLS = (
-    "- Controls: `placebo` dreams in a model that is never trained; `oracle` dreams whole episodes "
-    "in the true maze, about as many steps; `more_updates` makes as many updates as `dyna`, all of "
-    "them on real transitions."
+    "- Controls: `placebo` dreams in a model that is never trained; `oracle` dreams in the true "
+    "maze, from the same frames, as many steps; `more_updates` makes as many updates as `dyna`, "
+    "all of them on real transitions."
 )
 Table = tuple[list[str], list[list[str]]]
 
@@ -30,11 +30,8 @@ def method(options: Options) -> str:
         "paper": "the paper's Fig. 4",
     }[options.model]
     doubt = options.hparams.disagreement_threshold
-    cut = (
-        f", broken off where the model expects more than {doubt:g} wrong pixels"
-        if doubt < math.inf
-        else ""
-    )
+    cut = f", broken off where the model expects more than {doubt:g} wrong pixels"
+    cut = cut if doubt < math.inf else ""
     network = {
         "convolutions": f"convolutions of {options.convolutions} channels (of 2x2 cells at a "
         f"stride of 2, then of 3x3) and a dense layer of {options.dense}",

@@ -1,0 +1,120 @@
+"""The true Maze for the oracle's dreams, whose episodes begin where real ones have been."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from jaxdyna import frame_replay
+from jaxdyna.envs import FrameStack, Maze, MazeParams, MazeState
+from jaxdyna.envs.stack import StackState
+from jaxdyna.frame_replay import FrameReplay
+from jaxdyna.types import Key
+
+
+@struct.dataclass
+class ReplayedParams:
+    """The Maze's own, the real frames to begin at, and the longest episode."""
+
+    env: MazeParams
+    start: FrameReplay
+    max_steps: int | jax.Array = 200
+
+
+@dataclass(frozen=True)
+class ReplayedMaze:
+    """A Maze whose episodes begin at any real stack of frames instead of the start.
+
+    Attributes:
+        real: the Maze, its frames stacked.
+    """
+
+    real: FrameStack
+
+    @property
+    def default_params(self) -> ReplayedParams:
+        """Without frames; fill in ``start``."""
+        return ReplayedParams(self.real.default_params, start=None)  # type: ignore[arg-type]
+
+    @property
+    def num_actions(self) -> int:
+        """The Maze's."""
+        return self.real.num_actions
+
+    def reset(self, key: Key, params: ReplayedParams) -> tuple[jax.Array, StackState]:
+        """Draws a real stack and reads the state off it."""
+        key_draw, key_read = jax.random.split(key)
+        obs = frame_replay.sample(params.start, key_draw, ()).obs
+        maze: Any = self.real.env
+        return obs, StackState(read_state(maze, obs, key_read), obs)
+
+    def step(
+        self, key: Key, state: StackState, action: jax.Array, params: ReplayedParams
+    ) -> tuple[jax.Array, StackState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+        """The Maze's."""
+        return self.real.step(key, state, action, params.env)
+
+    def observation_space(self, params: ReplayedParams) -> Any:
+        """The Maze's."""
+        return self.real.observation_space(params.env)
+
+    def action_space(self, params: ReplayedParams) -> Any:
+        """The Maze's."""
+        return self.real.action_space(params.env)
+
+
+def read_state(maze: Maze, stack: jax.Array, key: Key) -> MazeState:
+    """The state that a stack of frames shows.
+
+    Args:
+        maze: whose frames they are.
+        stack: ``[size, size, 3 * frames]``, the newest last.
+        key: draws what cannot be told: which way an obstacle goes at the start of an episode. Of
+            obstacles that share a cell each takes the direction that explains the frames next best.
+
+    Returns:
+        The state at step 0.
+    """
+    frames = stack.reshape(maze.size, maze.size, -1, 3) > 0
+    red, agent, goal = frames[..., 0], frames[:, :, -1, 2], frames[:, :, -1, 1]
+    lit, cells = jax.lax.top_k(red[..., -1].reshape(-1).astype(jnp.int32), maze.num_obstacles)
+    scores = _explained(maze, red, _cell(maze, cells))
+    scores = scores + 1e-3 * jax.random.uniform(key, scores.shape)
+    second = jnp.where(lit > 0, jnp.sort(scores, axis=1)[:, -2], -jnp.inf)
+    hidden_at = jnp.argmax(second)
+    chosen = jnp.where(lit > 0, jnp.arange(maze.num_obstacles), hidden_at)
+    earlier = jnp.tril(chosen[:, None] == chosen, -1).sum(1)
+    best_first = jnp.argsort(-scores[chosen], axis=1)
+    directions = jnp.take_along_axis(best_first, jnp.minimum(earlier, 3)[:, None], 1)[:, 0]
+    return MazeState(
+        agent=_cell(maze, jnp.argmax(agent)),
+        goal=_cell(maze, jnp.argmax(goal)),
+        obstacles=_cell(maze, cells[chosen]),
+        directions=directions.astype(jnp.int32),
+        time=jnp.int32(0),
+    )
+
+
+def _explained(maze: Maze, red: jax.Array, cells: jax.Array) -> jax.Array:
+    """How well an obstacle in each of ``cells [n, 2]`` explains the frames before, ``[n, 4]`` by
+    its direction; the newer the frame the more it counts.
+    """
+    count = red.shape[-1]
+    where = jnp.repeat(cells, 4, axis=0)
+    heading = jnp.tile(jnp.arange(4), len(cells))
+    score = jnp.zeros(len(heading))
+    for back in range(1, count):
+        where, turned = maze.patrol(
+            where, heading ^ 1
+        )  # patrols run backwards as they run forwards
+        heading = turned ^ 1
+        score += 0.5**back * red[where[:, 0], where[:, 1], count - 1 - back]
+    return score.reshape(-1, 4)
+
+
+def _cell(maze: Maze, number: jax.Array) -> jax.Array:
+    return jnp.stack([number // maze.size, number % maze.size], axis=-1).astype(jnp.int32)
