@@ -240,7 +240,7 @@ def _frames_of(
 def _stack(frames: jax.Array) -> jax.Array:
     """``[..., frames, H, W, C]`` to ``[..., H, W, frames * C]``."""
     moved = jnp.moveaxis(frames, -4, -2)
-    return moved.reshape(*moved.shape[:-2], -1)
+    return moved.reshape(*moved.shape[:-2], moved.shape[-2] * moved.shape[-1])
 
 
 def _rest(transitions: Transition) -> dict[str, Any]:

@@ -46,6 +46,8 @@ def test_a_dream_goes_on_from_a_real_frame():
     held = frame_replay.init(200, 10, example, 4)
     real = play(jax.random.key(2), 5)
     held = frame_replay.add(held, real)
+    none = frame_replay.sample(held, jax.random.key(4), (0, 3))  # an arm without model updates
+    assert none.obs.shape == (0, 3, 8, 8, 12)
     params = ReplayedParams(PARAMS, held, max_steps=30)
     env = ReplayedMaze(ENV)
     dreamed = rollout(
