@@ -41,6 +41,14 @@ def test_the_state_is_read_off_the_frames():
     assert right[:, 0].mean() < 0.5  # nor which way things go before they have moved
 
 
+def test_a_maze_without_obstacles_is_read_too():
+    empty = Maze(size=4, num_obstacles=0)
+    stack, state = FrameStack(empty).reset(jax.random.key(0), PARAMS)
+    read = read_state(empty, stack, jax.random.key(1))
+    np.testing.assert_array_equal(read.agent, state.env.agent)
+    assert read.obstacles.shape == (0, 2)
+
+
 def test_a_dream_goes_on_from_a_real_frame():
     example = jax.tree.map(lambda leaf: leaf[0, 0], play(jax.random.key(2), 1))
     held = frame_replay.init(200, 10, example, 4)

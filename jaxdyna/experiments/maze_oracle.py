@@ -85,7 +85,7 @@ def read_state(maze: Maze, stack: jax.Array, key: Key) -> MazeState:
     scores = _explained(maze, red, _cell(maze, cells))
     scores = scores + 1e-3 * jax.random.uniform(key, scores.shape)
     second = jnp.where(lit > 0, jnp.sort(scores, axis=1)[:, -2], -jnp.inf)
-    hidden_at = jnp.argmax(second)
+    hidden_at = jnp.argmax(second) if maze.num_obstacles else 0
     chosen = jnp.where(lit > 0, jnp.arange(maze.num_obstacles), hidden_at)
     earlier = jnp.tril(chosen[:, None] == chosen, -1).sum(1)
     best_first = jnp.argsort(-scores[chosen], axis=1)
@@ -108,9 +108,7 @@ def _explained(maze: Maze, red: jax.Array, cells: jax.Array) -> jax.Array:
     heading = jnp.tile(jnp.arange(4), len(cells))
     score = jnp.zeros(len(heading))
     for back in range(1, count):
-        where, turned = maze.patrol(
-            where, heading ^ 1
-        )  # patrols run backwards as they run forwards
+        where, turned = maze.patrol(where, heading ^ 1)  # a patrol is the same backwards
         heading = turned ^ 1
         score += 0.5**back * red[where[:, 0], where[:, 1], count - 1 - back]
     return score.reshape(-1, 4)
