@@ -196,12 +196,13 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
 
 
 def test_levers(tmp_path, monkeypatch):
-    few = {"size": 4, "obstacles": 1, "steps": 20, "real_first": 2, "dream_episodes": 10}
-    few |= {"dream_steps": 2, "model_updates": 40, "model_widths": (4,)}
+    few = {"real_first": 2, "dream_episodes": 10, "dream_steps": 2}
+    few |= {"model_updates": 40, "model_widths": (4,)}
     agent = replace(LEAN.agent, updates=1, fake_updates=1, batch=4, fake_capacity=64)
     monkeypatch.setattr(maze_levers, "LEAN", replace(LEAN, agent=agent, **few))
     names = ["dyna (lean preset)", "untrained model (placebo)", "model: 3 updates an episode"]
-    arguments = ["--seeds", "2", "--episodes", "32", "--out", str(tmp_path), "--arms", *names]
+    arguments = ["--size", "4", "--obstacles", "1", "--steps", "20", "--seeds", "2"]
+    arguments += ["--episodes", "32", "--out", str(tmp_path), "--arms", *names]
     assert replace(maze_levers.LEVERS, real_first=2).main(arguments) == 0
     text = (tmp_path / "report.md").read_text()
     assert "over 3 models" in text and (tmp_path / "accuracy.png").exists()

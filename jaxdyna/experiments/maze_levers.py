@@ -7,7 +7,7 @@ costs, and whether sample efficiency grows with the model's accuracy (§5).
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -30,9 +30,23 @@ DRIFT = (0.1, 0.35, 0.35, 0.1, 0.1)
 JUDGED = 2
 
 
-def levers(options: VariantOptions) -> dict[str, Arm]:
+@dataclass(frozen=True)
+class LeverOptions(VariantOptions):
+    """Many variants of one setup, each beside the setup itself, on a smaller board that carries
+    them all in an hour; the Maze's own has --size 16 --obstacles 5 --steps 200."""
+
+    size: int = 8
+    """Cells a side of the board."""
+    obstacles: int = 3
+    """How many obstacles."""
+    steps: int = 60
+    """Steps of a real episode."""
+
+
+def levers(options: LeverOptions) -> dict[str, Arm]:
     """Every variant by name, the preset itself first."""
-    base = replace(LEAN, seeds=options.seeds, episodes=options.episodes)
+    board = {name: getattr(options, name) for name in ("size", "obstacles", "steps")}
+    base = replace(LEAN, seeds=options.seeds, episodes=options.episodes, **board)
     common = common_transitions(base)
     models = {"dyna (lean preset)": base, **worse_models(base)}
     arms = {name: make_arms(variant)["dyna"] for name, variant in models.items()}
@@ -54,7 +68,7 @@ def worse_models(base: Options) -> dict[str, Options]:
         "model: L2 loss": replace(base, model_loss="l2"),
         "model: L1 loss": replace(base, model_loss="l1"),
         "model: rare steps as they come": replace(base, rare_share=None),
-        "model: the newest 2,000 transitions only": replace(base, replay_capacity=2000),
+        "model: the newest 10 episodes only": replace(base, replay_capacity=10 * base.steps),
     }
     for widths in ((8, 8), (4, 4), (32,)):
         variants[f"model: layers of {widths}"] = replace(base, model_widths=widths)
@@ -70,6 +84,9 @@ def other_dreams(base: Options) -> dict[str, Options]:
     for length in (1, 2, 20):
         changed = replace(base, dream_steps=length, dream_episodes=steps // length)
         variants[f"dreams of {length} step(s), as many steps"] = changed
+    for count in (100, 1600):
+        name = f"{count} dreams an episode, not {base.dream_episodes}"
+        variants[name] = replace(base, dream_episodes=count)
     for share in (0.25, 0.75, 0.9):
         variants[f"{share:.0%} of a batch dreamed"] = _agent_hparams(base, fake_share=share)
     for updates in (100, 200, 800):
@@ -79,6 +96,11 @@ def other_dreams(base: Options) -> dict[str, Options]:
     return variants | {
         "dreams broken off where half a pixel is in doubt": replace(base, hparams=doubt),
         "draws all alike": _agent_hparams(base, priority_exponent=0.0),
+        "the newest 10 real episodes only": _agent(base, capacity=10 * base.steps),
+        "dreams of the newest 2 real episodes only": _agent(
+            base, fake_capacity=2 * base.dream_episodes * base.dream_steps
+        ),
+        "5% exploring to the end": _agent_hparams(base, epsilon_last=0.05),
         "three convolutions for a network": replace(base, network="convolutions"),
     }
 
@@ -129,7 +151,7 @@ MEASURE = Measure(
 LEVERS = Variants(
     experiment="maze_levers",
     title="What does lean need in the Maze, and how good must its model be?",
-    default=VariantOptions(preset="lean", seeds=4, episodes=150),
+    default=LeverOptions(preset="lean", seeds=4, episodes=100),
     make=levers,
     rule=LEAN.rule,
     real_first=LEAN.real_first,

@@ -204,7 +204,8 @@ LEAN = replace(
 PRESETS = {"paper": PAPER, "lean": LEAN}
 _FEW: dict[str, Any] = {"quick": True, "seeds": 2, "size": 6, "obstacles": 1, "steps": 40}
 _FEW |= {"episodes": 80}
+_SOON = replace(PAPER.hparams.agent, epsilon_hold=5.0, epsilon_episodes=10.0)
 QUICK = {
-    "paper": replace(PAPER, **_FEW, real_first=30),
+    "paper": replace(PAPER, **_FEW, real_first=15, hparams=replace(PAPER.hparams, agent=_SOON)),
     "lean": replace(LEAN, **_FEW),
 }

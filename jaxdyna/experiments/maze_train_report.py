@@ -29,7 +29,9 @@ MEASURES = {
     "collisions": "collisions an episode",
     "time_to_goal": "steps until the goal",
     "wrong_frames": "share of new frames predicted wrong",
+    "wrong_rewards": "share of new rewards predicted wrong",
 }
+WRONG = ("wrong_frames", "wrong_rewards")
 FILMED = (1, 50, 100, 200)
 SMOOTHED = 10
 FILM_STEPS = 100
@@ -78,11 +80,18 @@ class MazeReport:
         return jax.tree.map(np.asarray, judged) | cost_of_parts(arm, updates, first, key_cost)
 
     def describe(self, curves: Curves) -> Results:
-        """The final greedy policy in numbers, and what a real episode costs."""
+        """The final greedy policy in numbers, how wrong the model is, and what an episode costs."""
         share = curves["greedy_return"].mean(1) / curves["greedy_oracle"].mean(1)
         hits = curves["greedy_collisions"].mean(1)
         greedy = {"share": _summary(share), "collisions": _summary(hits)}
-        return {"greedy": greedy, "cost": describe_cost(curves)}
+        begin = max(min(self.options.real_first, curves["real_return"].shape[1]) - 1, 0)
+        spans = {"first_dreams": slice(begin, begin + SMOOTHED), "last": slice(-SMOOTHED, None)}
+        model = {
+            wrong: {when: float(curves[wrong][:, span].mean()) for when, span in spans.items()}
+            for wrong in WRONG
+            if wrong in curves
+        }
+        return {"greedy": greedy, "model": model, "cost": describe_cost(curves)}
 
     def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
         """``fig8.png``, ``solved.png``, ``behaviour.png``, ``film_ARM.gif``."""
@@ -101,7 +110,8 @@ class MazeReport:
         begins = {name: at - WINDOW + 1 for name, at in solved_at.items()}
         known = {name: arm.shape[1] - WINDOW + 1 for name, arm in shares.items()}
         plots.solved_share(out / "solved.png", begins, known)
-        said = {title: {name: arm[key] for name, arm in curves.items() if key in arm}
+        drawn = {key: curves if key not in WRONG else _trained(curves) for key in MEASURES}
+        said = {title: {name: arm[key] for name, arm in drawn[key].items() if key in arm}
                 for key, title in MEASURES.items()}  # fmt: skip
         plots.behaviour(
             out / "behaviour.png", {title: arms for title, arms in said.items() if arms}, SMOOTHED
@@ -147,9 +157,10 @@ class MazeReport:
             "![share of the runs that have solved](solved.png)",
             "## What is learned, when",
             "An episode that never comes to the goal counts as one step more than it has. A frame "
-            "is predicted wrong where any pixel is, one step ahead; each real episode is judged "
-            "before the model learns from it.",
-            "![collisions, steps until the goal, frames predicted wrong](behaviour.png)",
+            "is predicted wrong where any pixel is, one step ahead, and a reward by half a point; "
+            "each real episode is judged before the model learns from it.",
+            "![collisions, steps until the goal, wrong frames and rewards](behaviour.png)",
+            *tables.model(results),
             f"Real episodes of the first run, their first {FILM_STEPS} steps. Blue is the agent, "
             "red an obstacle, green the goal; where they were before is fainter.",
             *(f"![real episodes of {name}](film_{name}.gif)" for name in results["arms"]),
@@ -209,6 +220,11 @@ def replay_frames(
 
     as_int = (jnp.asarray(part, jnp.int32) for part in (obstacles, directions, actions))
     return np.asarray(jax.jit(play)(*as_int))
+
+
+def _trained(curves: Mapping[str, Curves]) -> Mapping[str, Curves]:
+    """Without the placebo, which is always wrong: its errors would dwarf all others."""
+    return {name: arm for name, arm in curves.items() if name != "placebo"}
 
 
 def _summary(values: np.ndarray) -> Results:

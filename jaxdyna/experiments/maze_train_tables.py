@@ -111,6 +111,19 @@ def greedy(results: Results) -> Table:
     return ["arm", "real episodes played", "share of the oracle's return", "collisions"], rows
 
 
+def model(results: Results) -> list[str]:
+    """How wrong the learned models are on real episodes that are new to them: a table, if any."""
+    rows = [
+        [name, *(f"{arm['model'][wrong][when]:.2%}" for when in ("first_dreams", "last")
+                 for wrong in ("wrong_frames", "wrong_rewards"))]
+        for name, arm in results["arms"].items()
+        if arm["model"]
+    ]  # fmt: skip
+    header = ["model of", "frames wrong: first ten episodes with dreams", "rewards wrong"]
+    header += ["frames wrong: last ten episodes", "rewards wrong"]
+    return [markdown_table(header, rows)] if rows else []
+
+
 def time(results: Results) -> Table:
     """Seconds of each arm, and of all."""
     timing = results["timing"]

@@ -66,7 +66,7 @@ class Variants:
     experiment: str
     title: str
     default: VariantOptions
-    make: Callable[[VariantOptions], dict[str, Arm]]
+    make: Callable[[Any], dict[str, Arm]]
     rule: SolveRule
     real_first: int
     column: str = "episodes_to_solve"
