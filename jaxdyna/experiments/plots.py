@@ -82,8 +82,13 @@ def behaviour(path: Path, panels: Mapping[str, Mapping[str, np.ndarray]], window
         panels: by the measure's name and arm, ``[seeds, episodes]``.
         window: episodes in the running mean.
     """
-    figure, axes = plt.subplots(1, len(panels), figsize=(5.6 * len(panels), 4.4), squeeze=False)
-    for panel, (title, arms) in zip(axes[0], panels.items(), strict=True):
+    columns = min(len(panels), 2)
+    rows = -(-len(panels) // columns)
+    shape = (5.6 * columns, 4.2 * rows)
+    figure, axes = plt.subplots(rows, columns, figsize=shape, squeeze=False)
+    for spare in axes.flat[len(panels) :]:
+        spare.remove()
+    for panel, (title, arms) in zip(axes.flat, panels.items(), strict=False):
         for name, values in arms.items():
             smooth = running_mean(values, window)
             low, high = mean_interval(smooth)
