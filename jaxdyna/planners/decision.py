@@ -73,17 +73,18 @@ def rollout_value(
     def value(obs: jax.Array, state: Any, key: Key) -> jax.Array:
         del obs
 
-        def step(carry, key):
-            state, weight, total = carry
-            key_action, key_step = jax.random.split(key)
+        def step(carry, _):
+            state, weight, total, key = carry
+            key, key_action, key_step = jax.random.split(key, 3)
             action = jax.random.randint(key_action, (), 0, env.num_actions)
             _, state, reward, terminated, truncated, _ = env.step(
                 key_step, state, action, env_params
             )
             total = total + weight * reward
-            return (state, jnp.where(terminated | truncated, 0.0, discount * weight), total), None
+            weight = jnp.where(terminated | truncated, 0.0, discount * weight)
+            return (state, weight, total, key), None
 
-        start = (state, jnp.float32(1), jnp.float32(0))
-        return jax.lax.scan(step, start, jax.random.split(key, num_steps))[0][2]
+        start = (state, jnp.float32(1), jnp.float32(0), key)
+        return jax.lax.scan(step, start, length=num_steps)[0][2]
 
     return value

@@ -103,7 +103,7 @@ def muzero(env: Environment, config: SearchConfig) -> Planner:
     def search(key: Key, root: Any, recurrent: Callable) -> Any:
         return mctx.muzero_policy(
             None,
-            jax.random.key_data(key),  # mctx draws twice from it, which a typed key would refuse
+            key,
             root,
             recurrent,
             config.simulations,
@@ -144,7 +144,7 @@ def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable
             return output, new
 
         def recurrent(_: Any, key: Key, action: jax.Array, node: Node):
-            keys = jax.random.split(_typed(key), action.shape[0])
+            keys = jax.random.split(jax.random.wrap_key_data(key), action.shape[0])
             return jax.vmap(step)(node, action, keys)
 
         key_value, key_search = jax.random.split(key)
@@ -152,17 +152,15 @@ def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable
         root = mctx.RootFnOutput(
             prior_logits=prior(obs), value=value(node, key_value), embedding=node
         )
-        found = search(key_search, jax.tree.map(lambda leaf: leaf[None], root), recurrent)
+        raw = jax.random.key_data(
+            key_search
+        )  # mctx draws twice from one, which a typed key refuses
+        found = search(raw, jax.tree.map(lambda leaf: leaf[None], root), recurrent)
         tree = found.search_tree
         action = found.action[0].astype(jnp.int32)
         return Decision(action, tree.qvalues(jnp.zeros(1, jnp.int32))[0, action])
 
     return plan
-
-
-def _typed(key: Key) -> Key:
-    typed = jax.dtypes.issubdtype(key.dtype, jax.dtypes.prng_key)
-    return key if typed else jax.random.wrap_key_data(key)
 
 
 def _mctx() -> Any:

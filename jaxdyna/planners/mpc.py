@@ -8,6 +8,7 @@ step: there is no warm start.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,10 @@ class ShootingConfig:
         discount: of the return.
         drift: standard deviation of the log odds of a candidate's actions, drawn for each: it keeps
             a direction, as a random walk does not. 0: every action is as likely at every step.
+        temperature: of the returns by which `random_shooting` chooses: an action is worth ``t log
+            mean exp(return / t)`` of the sequences that begin with it. 0 goes by the best of them,
+            infinity by their mean: what is safe whatever follows wins over what a single sequence
+            gets away with.
         particles: episodes that a sequence is judged by, for a world that is random.
     """
 
@@ -35,6 +40,7 @@ class ShootingConfig:
     candidates: int = 64
     discount: float = 1.0
     drift: float = 0.0
+    temperature: float = 0.0
     particles: int = 1
 
     def __post_init__(self) -> None:
@@ -43,8 +49,9 @@ class ShootingConfig:
                 raise ValueError(f"{name} is {getattr(self, name)}: it must be at least 1")
         if not 0 <= self.discount <= 1:
             raise ValueError(f"discount is {self.discount}: it must lie between 0 and 1")
-        if not self.drift >= 0:
-            raise ValueError(f"drift is {self.drift}: it must be 0 or more")
+        for name in ("drift", "temperature"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must be 0 or more")
 
 
 @dataclass(frozen=True)
@@ -89,11 +96,11 @@ def score(
     """
     key_steps, key_value = jax.random.split(key)
 
-    def step(carry, now):
-        seen, state, alive, ended, weight, total = carry
-        action, key = now
+    def step(carry, action):
+        seen, state, alive, ended, weight, total, key = carry
+        key, key_now = jax.random.split(key)
         next_obs, next_state, reward, terminated, truncated, _ = env.step(
-            key, state, action, env_params
+            key_now, state, action, env_params
         )
         total = total + jnp.where(alive, weight * reward, 0.0)
         weight = jnp.where(alive, discount * weight, weight)
@@ -103,12 +110,11 @@ def score(
             (next_obs if value else (), next_state),
             (seen, state),
         )
-        return (seen, state, alive & ~(terminated | truncated), ended, weight, total), None
+        return (seen, state, alive & ~(terminated | truncated), ended, weight, total, key), None
 
-    start = (obs if value else (), state, jnp.bool_(True), jnp.bool_(False), jnp.float32(1),
-             jnp.float32(0))  # fmt: skip
-    keys = jax.random.split(key_steps, actions.shape[0])
-    (seen, state, _, ended, weight, total), _ = jax.lax.scan(step, start, (actions, keys))
+    flags, numbers = (jnp.bool_(True), jnp.bool_(False)), (jnp.float32(1), jnp.float32(0))
+    start = (obs if value else (), state, *flags, *numbers, key_steps)
+    (seen, state, _, ended, weight, total, _), _ = jax.lax.scan(step, start, actions)
     if value is None:
         return total
     rest = value(jnp.asarray(seen), state, key_value)
@@ -130,8 +136,9 @@ def random_shooting(env: Environment, config: ShootingConfig) -> Planner:
         key_draw, key_score = jax.random.split(key)
         actions = _first_candidates(env.num_actions, config, key_draw)
         returns = judge(env_params, obs, state, actions, key_score, guide.value)
-        best = jnp.argmax(returns)
-        return Decision(actions[best, 0].astype(jnp.int32), returns[best])
+        worth = _worth(actions[:, 0], returns, env.num_actions, config.temperature)
+        action = jnp.argmax(worth).astype(jnp.int32)
+        return Decision(action, worth[action])
 
     return plan
 
@@ -166,18 +173,34 @@ def cross_entropy(env: Environment, config: CrossEntropyConfig) -> Planner:
             best = jax.tree.map(lambda new, old: jnp.where(better, new, old), new, best)
             return best, jax.nn.one_hot(actions[rows], num_actions).mean(0)
 
-        def again(carry, key):
-            key_draw, key_score = jax.random.split(key)
-            best, frequency = carry
-            return consider(best, refine(frequency, key_draw), key_score), None
+        def again(carry, _):
+            best, frequency, key = carry
+            key, key_draw, key_score = jax.random.split(key, 3)
+            return (*consider(best, refine(frequency, key_draw), key_score), key), None
 
         key_draw, key_score, key_rounds = jax.random.split(key, 3)
         nothing = Decision(jnp.int32(0), -jnp.float32(jnp.inf))
         first = consider(nothing, _first_candidates(num_actions, config, key_draw), key_score)
-        keys = jax.random.split(key_rounds, config.iterations - 1)
-        return jax.lax.scan(again, first, keys)[0][0]
+        rounds = config.iterations - 1
+        return jax.lax.scan(again, (*first, key_rounds), length=rounds)[0][0]
 
     return plan
+
+
+def _worth(
+    action: jax.Array, returns: jax.Array, num_actions: int, temperature: float
+) -> jax.Array:
+    """What first actions are worth ``[A]`` by the returns of sequences ``[candidates]``; -inf for
+    one that was not tried. Information-theoretic control (Williams et al. 2017), action by action.
+    """
+    own = action == jnp.arange(num_actions)[:, None]
+    tried = jnp.where(own, returns, -jnp.inf)
+    if temperature == 0:
+        return tried.max(-1)
+    if math.isinf(temperature):
+        mean = jnp.where(own, returns, 0).sum(-1) / jnp.maximum(own.sum(-1), 1)
+        return jnp.where(own.any(-1), mean, -jnp.inf)
+    return temperature * (jax.nn.logsumexp(tried / temperature, -1) - jnp.log(own.sum(-1)))
 
 
 def _first_candidates(num_actions: int, config: ShootingConfig, key: Key) -> jax.Array:
