@@ -151,7 +151,10 @@ def with_horizon(options: Options) -> Options:
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the experiment from the command line; returns the exit code."""
     options = with_horizon(cli.parse(PRESETS, argv, PROG))
-    arms = make_arms(options)
+    try:
+        arms = make_arms(options)
+    except ImportError as error:
+        cli.fail(str(error), PROG)
     chosen: dict[str, Arm] = {name: arms[name] for name in dict.fromkeys(options.arms)}
     session = Session(
         experiment="cartpole",

@@ -76,7 +76,7 @@ class Options:
     """Share of each model batch drawn from ends of episodes, however rare; None: as they come."""
     block: int | None = None
     """Runs vmapped together on a CPU, blocks one after the other; None for all at once."""
-    mpc: ShootingConfig = field(default_factory=lambda: ShootingConfig(25, 32))
+    mpc: ShootingConfig = field(default_factory=lambda: ShootingConfig(30, 32, temperature=5.0))
     """Random shooting: steps that are looked ahead, sequences that are tried."""
     mcts: SearchConfig = field(default_factory=lambda: SearchConfig(simulations=16))
     """Tree search: nodes, depth, discount, noise."""
