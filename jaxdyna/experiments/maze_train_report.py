@@ -187,7 +187,8 @@ class MazeReport:
 def _without_replays(agent: Any) -> Any:
     """What an agent's state acts by."""
     if isinstance(agent, CloningState):
-        return replace(agent, agent=_without_replays(agent.agent), shown=None)
+        nothing: Any = None
+        return replace(agent, agent=_without_replays(agent.agent), shown=nothing)
     return replace(agent, real=None, fake=None)
 
 
