@@ -82,7 +82,7 @@ class Options:
     """Tree search: nodes, depth, discount, noise."""
     mcts_rollout: int = 20
     """Steps of the random episode in the model that says what a node is worth."""
-    shown_episodes: int = 5
+    shown_episodes: int = 20
     """Real episodes after the first N in which mpc_init is shown what to do."""
     cloning: CloningConfig = field(default_factory=CloningConfig)
     """How mpc_init imitates."""

@@ -27,6 +27,7 @@ from jaxdyna.experiments.report import Results
 from jaxdyna.experiments.run import Arm
 from jaxdyna.experiments.session import Session
 from jaxdyna.experiments.variants import VariantOptions, Variants
+from jaxdyna.planners import require_mctx
 
 GROUNDS = {"cartpole": cartpole_ground, "maze": maze_ground}
 GROUND_KEY = 2**32 - 2
@@ -45,6 +46,11 @@ class Options(VariantOptions):
     """Runs of every arm on CartPole."""
     episodes: int = 150
     """Real episodes of a run at the most."""
+    arms: tuple[str, ...] = (
+        "dyna", "mpc_init", "dyna, 20 model updates", "mpc_init, 20 model updates",
+        "dyna, 5 model updates", "mpc_init, 5 model updates", "mpc", "model_free",
+    )  # fmt: skip
+    """Names of the arms to play on CartPole; there is also mcts."""
     stop_after_solved: int | None = 0
     """Episodes an arm plays on once all its seeds have solved; None plays all of them."""
     grounds: tuple[str, ...] = tuple(GROUNDS)
@@ -69,6 +75,7 @@ QUICK = Options(
     quick=True,
     seeds=4,
     episodes=110,
+    arms=("dyna", "mpc_init", "mpc"),
     sizes=Sizes(
         episodes=(15, 25),
         played=(4, 4),
@@ -93,7 +100,8 @@ def variants(options: VariantOptions) -> dict[str, Arm]:
         for name in ("dyna", "mpc_init"):
             arms[f"{name}{said}"] = make_arms(replace(setup, arms=(name,)))[name]
     arms["mpc"] = make_arms(replace(base, arms=("mpc",)))["mpc"]
-    arms["mcts"] = make_arms(replace(base, arms=("mcts",)))["mcts"]
+    if "mcts" in options.arms:  # the only one that needs mctx
+        arms["mcts"] = make_arms(replace(base, arms=("mcts",)))["mcts"]
     arms["model_free"] = make_arms(base)["model_free"]
     return {name: arm._replace(dyna=arm.dyna._replace(diagnose=None)) for name, arm in arms.items()}
 
@@ -118,6 +126,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.preset != "lean":
         cli.fail(f"--preset is {options.preset}: there is lean", prog)
     try:
+        if options.grounds:
+            require_mctx()
         arms = variants(options)
     except (ImportError, ValueError) as error:
         cli.fail(str(error), prog)
@@ -143,6 +153,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         keys=jax.random.split(jax.random.key(options.seed), options.seeds),
         report=PlanningReport(PLANNING, options, rows),
         block=PLANNING.block,
+        piece=10,
         slim_above=0,
         further={"budgets": rows},
         console=console,

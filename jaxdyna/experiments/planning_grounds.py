@@ -53,7 +53,7 @@ class Sizes:
     """
 
     episodes: tuple[int, int] = (30, 30)
-    played: tuple[int, int] = (20, 10)
+    played: tuple[int, int] = (20, 8)
     candidates: tuple[int, ...] = (4, 16, 64)
     simulations: tuple[int, ...] = (8, 32, 128)
     far_candidates: tuple[int, ...] = (16, 128, 1024)

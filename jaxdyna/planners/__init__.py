@@ -1,7 +1,7 @@
 """What decides by looking ahead."""
 
 from jaxdyna.planners.decision import Decision, Guide, Planner, Value, rollout_value
-from jaxdyna.planners.mcts import SearchConfig, gumbel_muzero, muzero
+from jaxdyna.planners.mcts import SearchConfig, gumbel_muzero, muzero, require_mctx
 from jaxdyna.planners.mpc import (
     CrossEntropyConfig,
     ShootingConfig,
@@ -24,6 +24,7 @@ __all__ = [
     "gumbel_muzero",
     "muzero",
     "random_shooting",
+    "require_mctx",
     "rollout_value",
     "score",
     "solve_maze",

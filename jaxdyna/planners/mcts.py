@@ -71,7 +71,7 @@ def gumbel_muzero(env: Environment, config: SearchConfig) -> Planner:
     Raises:
         ImportError: without mctx.
     """
-    mctx = _mctx()
+    mctx = require_mctx()
 
     def search(key: Key, root: Any, recurrent: Callable) -> Any:
         return mctx.gumbel_muzero_policy(
@@ -98,7 +98,7 @@ def muzero(env: Environment, config: SearchConfig) -> Planner:
     Raises:
         ImportError: without mctx.
     """
-    mctx = _mctx()
+    mctx = require_mctx()
 
     def search(key: Key, root: Any, recurrent: Callable) -> Any:
         return mctx.muzero_policy(
@@ -163,7 +163,12 @@ def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable
     return plan
 
 
-def _mctx() -> Any:
+def require_mctx() -> Any:
+    """The module mctx.
+
+    Raises:
+        ImportError: with what to install.
+    """
     try:
         import mctx  # noqa: PLC0415 - only this module needs it, and only when it is used
     except ImportError as error:
