@@ -97,8 +97,8 @@ class PlanningReport(VariantsReport):
                 for arm in (other, name)
             ]
             lines.append(
-                f"{'; '.join(said)}. `{name}` begins its solving window "
-                f"**{(late - soon).mean():+.0f}** episodes later than `{other}` "
+                f"{'; '.join(said)}. The solving window of `{name}` begins "
+                f"**{(late - soon).mean():+.0f}** episodes after that of `{other}` "
                 f"(95% interval {interval(ends)}, unsolved counted as {self.limit})."
             )
         return lines
