@@ -122,7 +122,8 @@ def milliseconds(
         decide, args = act, jax.tree.map(lambda leaf: leaf[0], args)
     call = jax.jit(decide).lower(*args).compile()
     jax.block_until_ready(call(*args))
-    began, timings = time.perf_counter(), []
+    timings: list[float] = []
+    began = time.perf_counter()
     while len(timings) < REPEATS or time.perf_counter() - began < TIMED_SECONDS:
         start = time.perf_counter()
         jax.block_until_ready(call(*args))
