@@ -9,75 +9,33 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
-from jaxdyna import memory, replay
+from jaxdyna import replay
 from jaxdyna.conditional import where_needed
+from jaxdyna.parts import Dream, Dyna, DynaState, Expert, Metrics
 from jaxdyna.rollout import first_states, rollout
 from jaxdyna.settings import DynaConfig, DynaHParams
-from jaxdyna.types import Agent, DynamicsModel, Environment, Key, Memory, Transition
+from jaxdyna.types import Key, Transition
 
-Metrics = dict[str, jax.Array]
-
-
-class Dream(NamedTuple):
-    """The world that fake episodes are played in.
-
-    Attributes:
-        env: a learned environment, or for the oracle the true one.
-        params: ``(state, hparams) -> env_params`` from the run's `DynaState`.
-    """
-
-    env: Environment
-    params: Callable[[DynaState, DynaHParams], Any]
-
-
-class Dyna(NamedTuple):
-    """The parts. Without ``model`` nothing is learned of the world; without ``dream`` the arm is
-    model-free.
-
-    Attributes:
-        env: the real environment.
-        agent: who acts.
-        model: what is learned of the world, None where nothing is.
-        dream: where fake episodes are played.
-        diagnose: ``(model_params, transitions, key) -> metrics``: judges the model on real
-            episodes ``[N, T]`` that it has not been trained on yet.
-        watch: ``(transitions, first_states, env_params) -> metrics`` of real episodes ``[N, T]``
-            and the states ``[N]`` that they began in.
-        memory: how real transitions are kept for the model.
-    """
-
-    env: Environment
-    agent: Agent
-    model: DynamicsModel | None = None
-    dream: Dream | None = None
-    diagnose: Callable[[Any, Transition, Key], Metrics] | None = None
-    watch: Callable[[Transition, Any, Any], Metrics] | None = None
-    memory: Memory = memory.transitions()
-
-
-@struct.dataclass
-class DynaState:
-    """A run between two real episodes; arrays only.
-
-    Attributes:
-        agent: the agent's state.
-        model: the model's state, None without one.
-        replay: real transitions so far, None without a model.
-        starts: first observations of the real episodes so far, None without a model.
-        key: the random key of all that follows.
-    """
-
-    agent: Any
-    model: Any
-    replay: Any
-    starts: Any
-    key: Key
+__all__ = [
+    "Dream",
+    "Dyna",
+    "DynaConfig",
+    "DynaHParams",
+    "DynaState",
+    "Expert",
+    "Metrics",
+    "make_advance",
+    "make_init",
+    "make_train",
+    "play_dreams",
+    "play_real",
+    "train_model",
+]
 
 
 def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], DynaState]:
@@ -119,7 +77,7 @@ def make_advance(
         key, key_real, key_agent, key_model, key_dream = jax.random.split(state.key, 5)
         state = replace(state, key=key)
         dreaming = episode + 1 >= config.num_real_first
-        real = play_real(dyna, config, state.agent, key_real, hparams)
+        real = _play_episode(dyna, config, state, episode, key_real, hparams)
         agent, metrics = _learn_policy(dyna, config, state.agent, real, episode, key_agent, hparams)
         state = replace(state, agent=agent)
         if dyna.watch is not None:
@@ -130,7 +88,8 @@ def make_advance(
             key_judge, key_sample, key_update = jax.random.split(key_model, 3)
             state, judgement = _remember(dyna, config, state, real, episode, key_judge)
             train = partial(train_model, dyna, config, state, key_sample, key_update, hparams)
-            model, training = where_needed(True, awake, axes, train, state.model)
+            of_use = _model_is_of_use(dyna, config, episode)
+            model, training = where_needed(of_use, awake, axes, train, state.model)
             state = replace(state, model=model)
             metrics |= judgement | training
         if dyna.dream is not None and config.dream_updates > 0:
@@ -161,12 +120,35 @@ def make_train(
 
 
 def play_real(dyna, config, agent, key, hparams) -> Transition:
-    """One real episode ``[1, T]``."""
+    """One real episode ``[1, T]`` of the agent."""
 
     def act(obs, key):
         return dyna.agent.act(agent, obs, key, hparams.agent)
 
     return rollout(dyna.env, act, key, hparams.env, 1, num_steps=config.num_steps)
+
+
+def _play_episode(dyna, config, state, episode, key, hparams) -> Transition:
+    """One real episode ``[1, T]`` of the agent, or of the expert where it is the expert's."""
+    if dyna.expert is None:
+        return play_real(dyna, config, state.agent, key, hparams)
+    is_experts = dyna.expert.plays(episode, config)
+
+    def act(obs, key):
+        return jax.lax.cond(
+            is_experts,
+            lambda: jnp.asarray(dyna.expert.act(state, obs, key, hparams), jnp.int32),
+            lambda: dyna.agent.act(state.agent, obs, key, hparams.agent).astype(jnp.int32),
+        )
+
+    return rollout(dyna.env, act, key, hparams.env, 1, num_steps=config.num_steps)
+
+
+def _model_is_of_use(dyna, config, episode) -> jax.Array | bool:
+    """Whether dreams or an expert may still look at the model after this episode."""
+    if dyna.expert is None or dyna.dream is not None or dyna.expert.episodes is None:
+        return True
+    return episode + 1 < config.num_real_first + dyna.expert.episodes
 
 
 def _learn_policy(dyna, config, agent, real, episode, key, hparams) -> tuple[Any, Metrics]:
@@ -175,8 +157,18 @@ def _learn_policy(dyna, config, agent, real, episode, key, hparams) -> tuple[Any
         first = jnp.maximum(max(config.num_real_first, 1), hparams.num_real_first)
         weight = jnp.where(episode >= first, hparams.real_weight, 1.0)
         weighted = real._replace(mask=real.mask * weight)
-    agent, losses = dyna.agent.update(agent, weighted, key, hparams.agent)
-    return agent, {"agent_loss": losses["loss"]} | _summary("real", real)
+
+    def learn(update):
+        new, losses = update(agent, weighted, key, hparams.agent)
+        return new, losses["loss"]
+
+    if dyna.expert is None or dyna.agent.update_expert is None:
+        agent, loss = learn(dyna.agent.update)
+    else:
+        by_expert = partial(learn, dyna.agent.update_expert)
+        is_experts = dyna.expert.plays(episode, config)
+        agent, loss = jax.lax.cond(is_experts, by_expert, partial(learn, dyna.agent.update))
+    return agent, {"agent_loss": loss} | _summary("real", real)
 
 
 def _remember(dyna, config, state, real, episode, key) -> tuple[DynaState, Metrics]:

@@ -84,6 +84,8 @@ class Agent(NamedTuple):
         act_fake: as ``act`` but in dreams, where exploring costs nothing; None: as ``act``.
         update_fake: as ``update`` from fake episodes, for a learner that keeps the two apart;
             None: as ``update``.
+        update_expert: as ``update`` from real episodes that another acted in
+            (`jaxdyna.dyna.Expert`), None: as ``update``.
     """
 
     init: Callable[[Key, Any], Any]
@@ -93,6 +95,9 @@ class Agent(NamedTuple):
     update_fake: Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]] | None = (
         None
     )
+    update_expert: (
+        Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]] | None
+    ) = None
 
 
 class Memory(NamedTuple):

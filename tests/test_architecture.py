@@ -12,7 +12,7 @@ FLOORS = {
     **dict.fromkeys(["networks", "losses", "envs", "replay"], 1),
     **dict.fromkeys(["rollout", "frame_replay"], 2),
     **dict.fromkeys(["memory", "windows"], 3),
-    **dict.fromkeys(["agents", "models", "planners"], 4),
+    **dict.fromkeys(["agents", "models", "planners", "parts"], 4),
     "dyna": 5,
     "sweep": 6,
     "statistics": 6,

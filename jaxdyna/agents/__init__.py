@@ -1,16 +1,28 @@
 """Learners of behaviour."""
 
-from jaxdyna.agents.dqn import DQNState, dqn
+from jaxdyna.agents.cloning import CloningConfig, CloningState, cloning
+from jaxdyna.agents.dqn import DQNState, dqn, q_values
 from jaxdyna.agents.dqn_settings import DQNConfig, DQNHParams
-from jaxdyna.agents.reinforce import ReinforceConfig, ReinforceHParams, ReinforceState, reinforce
+from jaxdyna.agents.reinforce import (
+    ReinforceConfig,
+    ReinforceHParams,
+    ReinforceState,
+    policy_logits,
+    reinforce,
+)
 
 __all__ = [
+    "CloningConfig",
+    "CloningState",
     "DQNConfig",
     "DQNHParams",
     "DQNState",
     "ReinforceConfig",
     "ReinforceHParams",
     "ReinforceState",
+    "cloning",
     "dqn",
+    "policy_logits",
+    "q_values",
     "reinforce",
 ]

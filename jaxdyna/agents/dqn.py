@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -71,10 +72,8 @@ def dqn(
     """
     config = config or DQNConfig()
     network = config.network or GlimpseQ(num_actions)
+    values = partial(q_values, network)
     obs_shape = (*frame_shape[:2], frame_shape[2] * num_frames)
-
-    def values(params: Any, obs: jax.Array) -> jax.Array:
-        return jnp.asarray(network.apply(params, obs.astype(jnp.float32) / 255))
 
     def init(key: Key, hparams: DQNHParams) -> DQNState:
         params = network.init(key, jnp.zeros((1, *obs_shape)))
@@ -153,6 +152,11 @@ def dqn(
         return _unless_nothing(transitions, work, state)
 
     return Agent(init, act, update, act_fake, update_fake)
+
+
+def q_values(network: Any, params: Any, obs: jax.Array) -> jax.Array:
+    """The values ``[N, A]`` of observations ``[N, *obs]`` by which an agent of `dqn` acts."""
+    return jnp.asarray(network.apply(params, obs.astype(jnp.float32) / 255))
 
 
 def _descend(

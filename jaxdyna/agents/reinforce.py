@@ -80,6 +80,18 @@ class ReinforceState:
     opt_state: Any
 
 
+def policy_logits(
+    num_actions: int, config: ReinforceConfig
+) -> Callable[[Any, jax.Array], jax.Array]:
+    """``(params, obs) -> [A]``: the log odds that an agent of `reinforce` acts by."""
+    network = MLP((*config.hidden, num_actions))
+
+    def logits(params: Any, obs: jax.Array) -> jax.Array:
+        return jnp.asarray(network.apply(params, obs.reshape(-1).astype(jnp.float32)))
+
+    return logits
+
+
 def reinforce(
     obs_shape: tuple[int, ...], num_actions: int, config: ReinforceConfig | None = None
 ) -> Agent:
@@ -95,9 +107,7 @@ def reinforce(
     """
     config = config or ReinforceConfig()
     network = MLP((*config.hidden, num_actions))
-
-    def logits(params: Any, obs: jax.Array) -> jax.Array:
-        return jnp.asarray(network.apply(params, obs.reshape(-1).astype(jnp.float32)))
+    logits = policy_logits(num_actions, config)
 
     def init(key: Key, hparams: ReinforceHParams) -> ReinforceState:
         params = network.init(key, jnp.zeros(obs_shape, jnp.float32).reshape(-1))

@@ -6,6 +6,7 @@ from jaxdyna.envs.maze import Maze, MazeParams, MazeState
 from jaxdyna.envs.pong import Pong
 from jaxdyna.envs.pong_rules import PongParams, PongState
 from jaxdyna.envs.pong_screen import CHANNELS, ObjectMasks, Palette
+from jaxdyna.envs.revealed import Revealed
 from jaxdyna.envs.stack import FrameStack, StackState
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "Pong",
     "PongParams",
     "PongState",
+    "Revealed",
     "StackState",
     "register",
 ]

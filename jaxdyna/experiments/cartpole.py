@@ -22,6 +22,7 @@ from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState
 from jaxdyna.envs import CartPole, CartPoleParams
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.cartpole_options import PRESETS, Options, dyna_config
+from jaxdyna.experiments.cartpole_planners import planner_arms
 from jaxdyna.experiments.cartpole_report import CartPoleReport
 from jaxdyna.experiments.run import Arm
 from jaxdyna.experiments.session import Session
@@ -117,7 +118,8 @@ def overwrite_angle(predict: Predict) -> Predict:
 def make_arms(options: Options) -> dict[str, Arm]:
     """The arms by name, each from the same parts. The placebo's model computes its updates and
     discards them; its dreams last to the horizon, because an untrained model would end each at
-    once, and it never rests, because a dream without an end says nothing there.
+    once, and it never rests, because a dream without an end says nothing there. The planners are
+    made where ``options.arms`` names them.
     """
     config = dyna_config(options)
     dream = Dreams(
@@ -130,11 +132,13 @@ def make_arms(options: Options) -> dict[str, Arm]:
     )
     alone = Dyna(dyna.env, dyna.agent)
     oracle = alone._replace(dream=Dream(dyna.env, lambda _, hparams: hparams.env))
+    planners = planner_arms(options, dyna, hparams)
     return {
         "model_free": Arm(alone, config, hparams),
         "dyna": Arm(dyna, config, hparams),
         "placebo": Arm(dyna, replace(config, rest_when_safe=False), untrained),
         "oracle": Arm(oracle, config, hparams),
+        **{name: make() for name, make in planners.items() if name in options.arms},
     }
 
 
@@ -147,7 +151,10 @@ def with_horizon(options: Options) -> Options:
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the experiment from the command line; returns the exit code."""
     options = with_horizon(cli.parse(PRESETS, argv, PROG))
-    arms = make_arms(options)
+    try:
+        arms = make_arms(options)
+    except ImportError as error:
+        cli.fail(str(error), PROG)
     chosen: dict[str, Arm] = {name: arms[name] for name in dict.fromkeys(options.arms)}
     session = Session(
         experiment="cartpole",

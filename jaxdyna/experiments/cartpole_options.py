@@ -9,15 +9,16 @@ from typing import Literal
 
 import optax
 
-from jaxdyna.agents import ReinforceConfig, ReinforceHParams
+from jaxdyna.agents import CloningConfig, ReinforceConfig, ReinforceHParams
 from jaxdyna.agents.reinforce import per_step
 from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs import CartPoleParams
 from jaxdyna.experiments import cli
 from jaxdyna.models import SupervisedConfig, SupervisedHParams
+from jaxdyna.planners import SearchConfig, ShootingConfig
 from jaxdyna.statistics import SolveRule
 
-ArmName = Literal["model_free", "dyna", "placebo", "oracle"]
+ArmName = Literal["model_free", "dyna", "placebo", "oracle", "mpc", "mcts", "mpc_init"]
 STEPS = {"v0": 200, "v1": 500}
 RULES = {"v0": SolveRule(100, 195.0), "v1": SolveRule(100, 475.0)}
 
@@ -36,7 +37,8 @@ class Options:
     """Real episodes of a run at the most."""
     arms: tuple[ArmName, ...] = ("model_free", "dyna")
     """model_free, dyna, and the controls: placebo never trains its model, oracle dreams in the true
-    environment."""
+    environment. And planners on the learned model: mpc (random shooting) and mcts (tree search, the
+    planning extra) act instead of a policy; mpc_init imitates mpc and goes on model-free."""
     out: Path | None = None
     """Folder for the results; runs/cartpole-PRESET by default."""
     resume: bool = False
@@ -74,6 +76,16 @@ class Options:
     """Share of each model batch drawn from ends of episodes, however rare; None: as they come."""
     block: int | None = None
     """Runs vmapped together on a CPU, blocks one after the other; None for all at once."""
+    mpc: ShootingConfig = field(default_factory=lambda: ShootingConfig(30, 32, temperature=5.0))
+    """Random shooting: steps that are looked ahead, sequences that are tried."""
+    mcts: SearchConfig = field(default_factory=lambda: SearchConfig(simulations=16))
+    """Tree search: nodes, depth, discount, noise."""
+    mcts_rollout: int = 20
+    """Steps of the random episode in the model that says what a node is worth."""
+    shown_episodes: int = 20
+    """Real episodes after the first N in which mpc_init is shown what to do."""
+    cloning: CloningConfig = field(default_factory=CloningConfig)
+    """How mpc_init imitates."""
     agent: ReinforceConfig = field(default_factory=lambda: ReinforceConfig(advantage=per_step))
     """REINFORCE's network."""
     model: SupervisedConfig = field(
@@ -100,6 +112,9 @@ class Options:
             raise ValueError(f"--block is {self.block}: it must be at least 1, or None")
         if self.dream_steps is not None and self.dream_steps < 1:
             raise ValueError(f"--dream-steps is {self.dream_steps}: it must be at least 1, or None")
+        for name in ("mcts_rollout", "shown_episodes"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"--{name.replace('_', '-')} must be at least 1")
         if not 0 <= self.dream_noise < math.inf:
             raise ValueError(f"--dream-noise is {self.dream_noise}: it must be 0 or more")
         cli.check_numbers(self.hparams, "--hparams", may_be_infinite=["disagreement_threshold"])

@@ -125,6 +125,7 @@ class CartPoleReport:
 def reading(options: Options) -> list[str]:
     """The settings in words."""
     lines = [_policy_line(options), _model_line(options), _dreams_line(options)]
+    lines += _planner_lines(options)
     if options.rest_when_safe:
         lines.append(
             "Rest: no model updates and no dreams after a real episode that did not fall, no "
@@ -192,6 +193,27 @@ def _dreams_line(options: Options) -> str:
         f"or after {options.dream_steps or options.num_steps} steps. From then on a real "
         f"transition's weight is {hparams.real_weight:g} and a fake one's {hparams.fake_weight:g}."
     )
+
+
+def _planner_lines(options: Options) -> list[str]:
+    mpc, mcts, lines = options.mpc, options.mcts, []
+    if {"mpc", "mpc_init"} & set(options.arms):
+        lines.append(
+            f"`mpc`: from real episode {options.real_first + 1} on decides by {mpc.candidates} "
+            f"random sequences of {mpc.horizon} steps in the model (temperature "
+            f"{mpc.temperature:g}); no dreams."
+        )
+    if "mcts" in options.arms:
+        lines.append(
+            f"`mcts`: likewise by a tree of {mcts.simulations} nodes (MuZero's search), random "
+            f"episodes of {options.mcts_rollout} steps for the value of its leaves; no dreams."
+        )
+    if "mpc_init" in options.arms:
+        lines.append(
+            f"`mpc_init`: `mpc` plays {options.shown_episodes} episodes; the policy imitates them "
+            f"({options.cloning.updates} updates after each) and goes on model-free."
+        )
+    return lines
 
 
 def _dreams(name: str, dreams: Results) -> str:

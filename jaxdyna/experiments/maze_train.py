@@ -20,6 +20,7 @@ from jaxdyna.envs import FrameStack, Maze, MazeParams
 from jaxdyna.envs.stack import StackState
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.maze_oracle import ReplayedMaze, ReplayedParams
+from jaxdyna.experiments.maze_planners import planner_arms
 from jaxdyna.experiments.maze_train_options import (
     PRESETS,
     QUICK,
@@ -119,7 +120,8 @@ def behaviour(
 
 def make_arms(options: Options) -> dict[str, Arm]:
     """The arms by name, each from the same parts. The oracle's dreams begin where those of ``dyna``
-    do and are as many and as long, but the true maze goes on from there.
+    do and are as many and as long, but the true maze goes on from there. The planners are made
+    where ``options.arms`` names them.
     """
     maze = Maze(options.size, options.obstacles)
     dyna = make_dyna(Parts(maze, agent_config(options), model_config(options), options.steps))
@@ -129,12 +131,14 @@ def make_arms(options: Options) -> dict[str, Arm]:
     all_real = replace(untrained, agent=replace(hparams.agent, fake_share=0.0))
     alone = dyna._replace(model=None, dream=None, diagnose=None)
     oracle = dyna._replace(dream=true_dream(maze), diagnose=None)
+    planners = planner_arms(options, dyna, hparams)
     return {
         "model_free": Arm(alone, config, hparams),
         "dyna": Arm(dyna, config, hparams),
         "placebo": Arm(dyna, config, untrained),
         "more_updates": Arm(dyna._replace(diagnose=None), config, all_real),
         "oracle": Arm(oracle, replace(config, model_updates=0), hparams),
+        **{name: make() for name, make in planners.items() if name in options.arms},
     }
 
 
@@ -152,7 +156,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs the experiment from the command line; returns the exit code."""
     arguments: Any = sys.argv[1:] if argv is None else argv
     options = cli.parse(QUICK if "--quick" in arguments else PRESETS, arguments, PROG)
-    arms = make_arms(options)
+    try:
+        arms = make_arms(options)
+    except ImportError as error:
+        cli.fail(str(error), PROG)
     session = Session(
         experiment="maze",
         prog=PROG,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from jaxdyna.agents import DQNConfig, DQNHParams
+from jaxdyna.agents import CloningConfig, DQNConfig, DQNHParams
 from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs import Maze, MazeParams
 from jaxdyna.envs.maze import MOVES
@@ -16,9 +16,12 @@ from jaxdyna.experiments.maze_options import decayed_adam
 from jaxdyna.losses import bce, l1, l2
 from jaxdyna.models import PixelConfig, PixelHParams
 from jaxdyna.networks import ConvolutionalQ, EncoderDecoder, GlimpseQ, LocalDynamics
+from jaxdyna.planners import SearchConfig, ShootingConfig
 from jaxdyna.statistics import SolveRule
 
-ArmName = Literal["model_free", "dyna", "placebo", "oracle", "more_updates"]
+ArmName = Literal[
+    "model_free", "dyna", "placebo", "oracle", "more_updates", "mpc", "mcts", "mpc_init"
+]
 SHARE_OF_ORACLE = 0.95
 WINDOW = 50
 SHARES = (
@@ -47,7 +50,8 @@ class Options:
     arms: tuple[ArmName, ...] = ("model_free", "dyna")
     """model_free, dyna, and the controls: placebo never trains its model; oracle dreams in
     the true environment, from the same frames; more_updates makes dyna's updates, all of them on
-    real transitions."""
+    real transitions. And planners on the learned frames: mpc (random shooting) and mcts (tree
+    search, the planning extra) act; mpc_init imitates mpc and goes on model-free."""
     out: Path | None = None
     """Folder for the results; runs/maze-PRESET by default."""
     resume: bool = False
@@ -90,6 +94,15 @@ class Options:
     """Fake episodes each of these times."""
     dream_steps: int = 5
     """The longest fake episode; each begins at a real stack of frames."""
+    mpc: ShootingConfig = field(default_factory=lambda: ShootingConfig(5, 32, drift=1.0))
+    """Random shooting: steps that are looked ahead, sequences that are tried. Its discount is the
+    agent's, whose values say what comes after."""
+    mcts: SearchConfig = field(default_factory=lambda: SearchConfig(simulations=32))
+    """Tree search: nodes, depth, noise. Its discount is the agent's."""
+    shown_episodes: int = 10
+    """Real episodes after the first N in which mpc_init is shown what to do."""
+    cloning: CloningConfig = field(default_factory=lambda: CloningConfig(learning_rate=1e-3))
+    """How mpc_init imitates."""
     agent: DQNConfig = field(
         default_factory=lambda: DQNConfig(
             updates=50, fake_updates=400, fake_capacity=64_000, explore_until_rewarded=True
@@ -127,6 +140,8 @@ class Options:
         for name in ("model_widths", "convolutions"):
             if min(getattr(self, name), default=0) < 1:
                 raise ValueError(f"--{name.replace('_', '-')}: give numbers of at least 1")
+        if self.shown_episodes < 1:
+            raise ValueError("--shown-episodes must be at least 1")
         if self.dense < 1:
             raise ValueError("--dense must be at least 1")
         Maze(self.size, self.obstacles)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
+from jaxdyna.agents import CloningState
 from jaxdyna.envs import Maze, MazeParams, MazeState
 from jaxdyna.experiments import maze_train_tables as tables
 from jaxdyna.experiments import plots, plots_frames, report
@@ -51,7 +53,7 @@ class MazeReport:
         env, agent = arm.dyna.env, arm.dyna.agent
         params, steps = arm.hparams.env, self.options.steps
         greedy = replace(arm.hparams.agent, epsilon_first=0.0, epsilon_last=0.0)
-        policies = replace(run.state.agent, real=None, fake=None)
+        policies = _without_replays(run.state.agent)
 
         def judge_some(state, key):
             def act(obs, key):
@@ -191,6 +193,14 @@ class MazeReport:
             return lines
         both = {name: results["arms"][name] for name in ("dyna", "more_updates")}
         return lines + report.comparison({"arms": both}, {}, "more_updates")
+
+
+def _without_replays(agent: Any) -> Any:
+    """What an agent's state acts by."""
+    if isinstance(agent, CloningState):
+        nothing: Any = None
+        return replace(agent, agent=_without_replays(agent.agent), shown=nothing)
+    return replace(agent, real=None, fake=None)
 
 
 def replay_frames(

@@ -64,9 +64,33 @@ def method(options: Options) -> str:
             f"{hparams.fake_share:.0%} is dreamed. Once there are dreams, the updates after a real "
             "episode draw them as well.",
             CONTROLS,
+            *_planners(options),
             f"- Not the paper's, or not said there: {_differences(options)}.",
         ]
     )
+
+
+def _planners(options: Options) -> list[str]:
+    """How the planner arms decide, where there are any."""
+    lines, mpc, mcts = [], options.mpc, options.mcts
+    shoots = f"{mpc.candidates} sequences of {mpc.horizon} steps in the model"
+    if {"mpc", "mpc_init"} & set(options.arms):
+        lines.append(
+            f"- `mpc`: from real episode {options.real_first + 1} on a decision is the first of "
+            f"the best of {shoots}, the agent's values for what comes after them. No dreams."
+        )
+    if "mcts" in options.arms:
+        lines.append(
+            f"- `mcts`: likewise a tree of {mcts.simulations} nodes (MuZero's search), the agent's "
+            "values at its leaves and for its prior's log odds. No dreams."
+        )
+    if "mpc_init" in options.arms:
+        lines.append(
+            f"- `mpc_init`: `mpc` plays {options.shown_episodes} episodes, which the agent learns "
+            f"from and imitates ({options.cloning.updates} updates after each, a margin loss); it "
+            "goes on model-free. No dreams."
+        )
+    return lines
 
 
 def _differences(options: Options) -> str:

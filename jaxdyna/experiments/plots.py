@@ -18,7 +18,11 @@ COLOURS = {
     "placebo": "#b5651d",
     "oracle": "#6a4c93",
     "more_updates": "#c2185b",
+    "mpc": "#c77700",
+    "mcts": "#2f6db5",
+    "mpc_init": "#a8432e",
 }
+BEGINS = dict.fromkeys(("mpc", "mcts", "mpc_init"), "planner begins")
 
 
 def learning_curves(
@@ -56,7 +60,7 @@ def learning_curves(
                 color="#888888",
                 linewidth=1,
                 linestyle=":",
-                label=f"dreams begin: {real_first}",
+                label=f"{BEGINS.get(name, 'dreams begin')}: {real_first}",
             )
         solved = solved_at[name][np.isfinite(solved_at[name])]
         said = f"{len(solved)}/{len(solved_at[name])} solved"

@@ -76,6 +76,7 @@ class Session:
         report: the experiment's own part of the report.
         block: see `jaxdyna.experiments.run.Runner`.
         piece: see `jaxdyna.experiments.run.Runner`.
+        further: further entries of ``results.json``, measured before the arms.
         slim_above: runs of an arm above which less is kept of each, see `storage.slim`.
     """
 
@@ -90,6 +91,7 @@ class Session:
     block: int | None = None
     piece: int | None = None
     slim_above: int = MANY_SEEDS
+    further: Mapping[str, Any] = field(default_factory=dict)
     console: Console = field(default_factory=lambda: Console(highlight=False))
 
     def run(self, arms: Mapping[str, Arm]) -> int:
@@ -221,6 +223,7 @@ class Session:
             "config": plain(self.options) | {"arms": list(curves)},
             **environment(self._earlier),
             "timing": total | {"total_s": total_s, "arms": self._timing},
+            **self.further,
             "arms": arms,
             "ratio_to_model_free": compare(arms, "model_free"),
         }

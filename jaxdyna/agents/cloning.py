@@ -1,0 +1,156 @@
+"""Behaviour cloning: an agent that another one shows what to do before it learns by itself.
+
+The "Mb-Mf" of Nagabandi et al. 2018 (§V): a planner's episodes in the real environment are imitated
+by supervised learning, and model-free learning goes on from there. Unlike there nothing is asked of
+the planner about states that the imitator comes to (no DAgger).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from jaxdyna import replay
+from jaxdyna.replay import Replay
+from jaxdyna.types import Agent, Key, Transition
+
+Loss = Callable[[jax.Array, jax.Array], jax.Array]
+"""``(outputs [A], action) -> loss`` of one imitated action, a scalar."""
+
+
+def cross_entropy_loss(outputs: jax.Array, action: jax.Array) -> jax.Array:
+    """``-log pi(action)`` of a policy's log odds (Pomerleau 1991)."""
+    return -jax.nn.log_softmax(outputs)[action]
+
+
+def margin_loss(outputs: jax.Array, action: jax.Array, margin: float = 0.8) -> jax.Array:
+    """``max_a (Q(a) + margin [a is not the shown one]) - Q(shown)``, for values of actions (DQfD,
+    Hester et al. 2018, their J_E): the shown action has to be the best by a margin.
+    """
+    ahead = outputs + margin * (jnp.arange(outputs.shape[-1]) != action)
+    return ahead.max() - outputs[action]
+
+
+@dataclass(frozen=True)
+class CloningConfig:
+    """What decides the program.
+
+    Attributes:
+        updates: gradient steps after each shown episode, on all that was shown so far.
+        batch: transitions in each.
+        capacity: shown transitions kept.
+        learning_rate: of the optimiser, which starts anew after each shown episode.
+        loss: of one imitated action.
+        learns_too: whether the agent's own update sees the shown episodes first, as a learner that
+            is off-policy can make use of them.
+        optimizer: from a learning rate to an optax transformation.
+    """
+
+    updates: int = 200
+    batch: int = 64
+    capacity: int = 4000
+    learning_rate: float = 1e-2
+    loss: Loss = cross_entropy_loss
+    learns_too: bool = False
+    optimizer: Callable[[Any], optax.GradientTransformation] = optax.adam
+
+    def __post_init__(self) -> None:
+        for name in ("updates", "batch", "capacity"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must be at least 1")
+        if not self.learning_rate > 0:
+            raise ValueError(f"learning_rate is {self.learning_rate}: it must be above 0")
+
+
+@struct.dataclass
+class CloningState:
+    """The agent's own state, and the ``(obs, action)`` that it was shown."""
+
+    agent: Any
+    shown: Replay
+
+
+def cloning(
+    agent: Agent,
+    outputs: Callable[[Any, jax.Array], jax.Array],
+    example: tuple[Any, Any],
+    config: CloningConfig,
+    install: Callable[[Any, Any], Any] = lambda state, params: replace(state, params=params),
+) -> Agent:
+    """An agent that imitates in ``update_expert`` and is ``agent`` in everything else.
+
+    Args:
+        agent: who learns; ``state.params`` is what its actions come from.
+        outputs: ``(params, obs) -> [A]``, its log odds or values of one observation.
+        example: one ``(obs, action)``: arrays, or anything with ``shape`` and ``dtype``.
+        config: the program's settings.
+        install: ``(state, params) -> state``: the agent with imitating parameters.
+
+    Returns:
+        An `Agent` with the hparams of ``agent``.
+    """
+
+    def init(key: Key, hparams: Any) -> CloningState:
+        return CloningState(agent.init(key, hparams), replay.init(config.capacity, example))
+
+    def imitate(params: Any, shown: Replay, key: Key) -> tuple[Any, jax.Array]:
+        optimizer = config.optimizer(config.learning_rate)
+
+        def loss_fn(params: Any, batch: tuple[jax.Array, jax.Array]) -> jax.Array:
+            obs, action = batch
+            return jax.vmap(config.loss)(jax.vmap(outputs, (None, 0))(params, obs), action).mean()
+
+        def step(carry, key):
+            params, opt_state = carry
+            batch = replay.sample(shown, key, (config.batch,))
+            loss, grads = jax.value_and_grad(loss_fn)(params, batch)
+            updates, opt_state = optimizer.update(grads, opt_state, params)
+            return (optax.apply_updates(params, updates), opt_state), loss
+
+        keys = jax.random.split(key, config.updates)
+        (params, _), losses = jax.lax.scan(step, (params, optimizer.init(params)), keys)
+        return params, losses.mean()
+
+    def update_expert(state: CloningState, transitions: Transition, key: Key, hparams: Any):
+        key_own, key_imitate = jax.random.split(key)
+        seen = transitions.mask > 0
+        items = (transitions.obs, transitions.action.astype(state.shown.data[1].dtype))
+        shown = replay.add(state.shown, items, seen)
+        learner = state.agent
+        if config.learns_too:
+            learner, _ = agent.update(learner, transitions, key_own, hparams)
+        params, loss = imitate(learner.params, shown, key_imitate)
+        new = CloningState(install(learner, params), shown)
+        new = jax.tree.map(lambda new, old: jnp.where(seen.any(), new, old), new, state)
+        return new, {"loss": loss}
+
+    return _lifted(agent, init, update_expert)
+
+
+def _lifted(agent: Agent, init: Callable, update_expert: Callable) -> Agent:
+    """The agent's own functions on a `CloningState`."""
+
+    def lift_act(act: Callable) -> Callable:
+        return lambda state, obs, key, hparams: act(state.agent, obs, key, hparams)
+
+    def lift_update(update: Callable) -> Callable:
+        def lifted(state: CloningState, transitions: Transition, key: Key, hparams: Any):
+            own, metrics = update(state.agent, transitions, key, hparams)
+            return replace(state, agent=own), metrics
+
+        return lifted
+
+    return Agent(
+        init,
+        lift_act(agent.act),
+        lift_update(agent.update),
+        agent.act_fake and lift_act(agent.act_fake),
+        agent.update_fake and lift_update(agent.update_fake),
+        update_expert,
+    )

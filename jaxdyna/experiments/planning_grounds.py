@@ -1,0 +1,182 @@
+"""The two environments that planners and policies are compared in, and who is compared there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxdyna.dyna import Dyna, DynaState, make_train
+from jaxdyna.envs import Maze
+from jaxdyna.experiments import cartpole, maze_train
+from jaxdyna.experiments.cartpole_options import LEAN as CARTPOLE
+from jaxdyna.experiments.cartpole_planners import random_episodes
+from jaxdyna.experiments.maze_planners import by_values
+from jaxdyna.experiments.maze_train_options import LEAN as MAZE
+from jaxdyna.experiments.maze_train_options import QUICK, agent_config
+from jaxdyna.experiments.planner_arms import MakeGuide, on_model, without_guide
+from jaxdyna.experiments.planning_budgets import Contender, Ground
+from jaxdyna.experiments.run import Arm
+from jaxdyna.planners import (
+    Guide,
+    Planner,
+    SearchConfig,
+    ShootingConfig,
+    muzero,
+    random_shooting,
+    rollout_value,
+    solve_maze,
+)
+
+GREEDY = {"epsilon_first": 0.0, "epsilon_last": 0.0}
+FAR = 1.5
+"""Steps that shooting without a value looks ahead in the Maze, as a multiple of the way to the
+goal: a sequence with a drift towards the goal makes detours."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is played and tried.
+
+    Attributes:
+        episodes: real episodes of the run that learns model and policy, by environment.
+        played: episodes that a contender plays, by environment.
+        candidates: sequences of random shooting.
+        simulations: nodes of tree search.
+        far_candidates: sequences of shooting in the true Maze, which is looked at to the goal.
+        batch: environments that are decided for at once.
+        small_maze: a Maze of 6x6 cells.
+    """
+
+    episodes: tuple[int, int] = (30, 30)
+    played: tuple[int, int] = (20, 8)
+    candidates: tuple[int, ...] = (4, 16, 64)
+    simulations: tuple[int, ...] = (8, 32, 128)
+    far_candidates: tuple[int, ...] = (16, 128, 1024)
+    batch: int = 16
+    small_maze: bool = False
+
+
+def learned(arm: Arm, key: jax.Array) -> DynaState:
+    """One run of the arm to its end."""
+    train = jax.jit(make_train(arm.dyna._replace(diagnose=None, watch=None), arm.config))
+    return train(key, arm.hparams)[0]
+
+
+def cartpole_ground(key: jax.Array, sizes: Sizes) -> tuple[Ground, Iterator[Contender]]:
+    """CartPole, and what was learned there by `dyna` of the ``lean`` preset."""
+    key_learn, key_play = jax.random.split(key)
+    options = replace(CARTPOLE, episodes=sizes.episodes[0])
+    arm = cartpole.make_arms(options)["dyna"]
+    state = learned(arm, key_learn)
+    env_params = arm.hparams.env
+    ground = Ground(
+        "CartPole", arm.dyna.env, env_params, options.num_steps,
+        lambda start, params: jnp.float32(options.num_steps), key_play, sizes.played[0],
+        sizes.batch,
+    )  # fmt: skip
+    depth, discount, env = options.mcts_rollout, options.mcts.discount, arm.dyna.env
+
+    def tried() -> Iterator[Contender]:
+        yield policy(arm, state)
+        for count in sizes.candidates:
+            config = replace(options.mpc, candidates=count)
+            steps = count * config.horizon
+            make: Any = partial(random_shooting, config=config)
+            yield in_true("MPC", env, env_params, make, steps, Guide())
+            yield in_model("MPC", arm, state, make, steps, without_guide)
+        for count in sizes.simulations:
+            make = partial(muzero, config=replace(options.mcts, simulations=count))
+            steps = count * (1 + depth)
+            guide = Guide(value=rollout_value(env, env_params, depth, discount))
+            yield in_true("MCTS", env, env_params, make, steps, guide)
+            guided = random_episodes(arm.dyna, discount, depth)
+            yield in_model("MCTS", arm, state, make, steps, guided)
+
+    return ground, tried()
+
+
+def maze_ground(key: jax.Array, sizes: Sizes) -> tuple[Ground, Iterator[Contender]]:
+    """The Maze, and what was learned there by `dyna` of the ``lean`` preset."""
+    key_learn, key_play = jax.random.split(key)
+    options = replace(QUICK["lean"] if sizes.small_maze else MAZE, episodes=sizes.episodes[1])
+    arm = maze_train.make_arms(options)["dyna"]
+    state = learned(arm, key_learn)
+    maze, env_params = Maze(options.size, options.obstacles), arm.hparams.env
+    env: Any = arm.dyna.env
+
+    def best(start: Any, params: Any) -> jax.Array:
+        return solve_maze(maze, start.env, params, options.steps).best_return
+
+    ground = Ground(
+        "Maze", env, env_params, options.steps, best, key_play, sizes.played[1], sizes.batch
+    )
+    values = by_values(agent_config(options))
+    guide = values(state, arm.hparams, None)
+    discount = options.hparams.agent.discount
+    far = ShootingConfig(int(FAR * 2 * (options.size - 1)), drift=3.0)
+    near = replace(options.mpc, discount=discount)
+
+    def tried() -> Iterator[Contender]:
+        yield policy(arm, state, **GREEDY)
+        for count in sizes.far_candidates:
+            make: Any = partial(random_shooting, config=replace(far, candidates=count))
+            yield in_true("MPC to the goal", env, env_params, make, count * far.horizon, Guide())
+        for count in sizes.candidates:
+            make = partial(random_shooting, config=replace(near, candidates=count))
+            steps = count * near.horizon
+            yield in_true("MPC, learned values", env, env_params, make, steps, guide)
+            yield in_model("MPC, learned values", arm, state, make, steps, values)
+        for count in sizes.simulations:
+            config = SearchConfig(count, discount=discount)
+            make = partial(muzero, config=config)
+            yield in_true("MCTS", env, env_params, make, count, Guide())
+            yield in_true("MCTS, learned values", env, env_params, make, count, guide)
+            yield in_model("MCTS, learned values", arm, state, make, count, values)
+
+    return ground, tried()
+
+
+def policy(arm: Arm, state: DynaState, **changes: Any) -> Contender:
+    """The forward pass of what the run has learned."""
+    hparams = replace(arm.hparams.agent, **changes)
+
+    def act(obs: jax.Array, true_state: Any, key: jax.Array) -> jax.Array:
+        return arm.dyna.agent.act(state.agent, obs, key, hparams)
+
+    return Contender("policy", "-", 0, act)
+
+
+def in_true(
+    who: str, env: Any, env_params: Any, make: Callable[[Any], Planner], steps: int, guide: Guide
+) -> Contender:
+    """A planner in the true environment, from the true state."""
+    planner = make(env)
+
+    def act(obs: jax.Array, true_state: Any, key: jax.Array) -> jax.Array:
+        return planner(env_params, obs, true_state, key, guide).action
+
+    return Contender(who, "true", steps, act)
+
+
+def in_model(
+    who: str,
+    arm: Arm,
+    state: DynaState,
+    make: Callable[[Any], Planner],
+    steps: int,
+    guide: MakeGuide,
+) -> Contender:
+    """A planner in the learned environment, from what is seen."""
+    dyna: Dyna = arm.dyna
+    assert dyna.dream is not None
+    decide = on_model(dyna, make(dyna.dream.env), guide)
+
+    def act(obs: jax.Array, true_state: Any, key: jax.Array) -> jax.Array:
+        return decide(state, obs, key, arm.hparams)
+
+    return Contender(who, "learned", steps, act)

@@ -1,0 +1,180 @@
+"""What the comparison of planners and policies leaves behind: tables, sentences, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from jaxdyna.experiments import plots_planning, report
+from jaxdyna.experiments.report import Results, interval, markdown_table
+from jaxdyna.experiments.variants import Curves, VariantsReport
+from jaxdyna.statistics import bootstrap_interval
+
+
+@dataclass(frozen=True)
+class PlanningReport(VariantsReport):
+    """The experiment's own part of a `jaxdyna.experiments.session.Session`."""
+
+    budgets: list[Results]
+
+    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+        """``variants.png``, ``solved.png`` and ``decisions.png``."""
+        super().figures(out, curves)
+        known = {
+            name: values["real_return"].shape[1] - self.variants.rule.window + 1
+            for name, values in curves.items()
+        }
+        first = {name: self.solved_at(values) for name, values in curves.items()}
+        plots_planning.solved_shares(out / "solved.png", first, known)
+        if self.budgets:
+            plots_planning.decisions(out / "decisions.png", self.budgets)
+
+    def markdown(self, results: Results) -> str:
+        """The report."""
+        rule, first = self.variants.rule, next(iter(results["arms"]))
+        parts = [
+            f"# {self.variants.title}",
+            f"`{results['command']}`",
+            *self._decisions(),
+            "## Acting, imitating, dreaming: CartPole",
+            f"{self.options.seeds} runs an arm. {str(rule).capitalize()}. At most "
+            f"{self.options.episodes} episodes; a mean with an unsolved run in it is shown as its "
+            f"lower bound (≥), and the difference to «{first}» is paired (the same seeds), an "
+            f"unsolved run counted as {self.limit}. Worst: the latest run.",
+            markdown_table(*self._long_table(results)),
+            ARMS_SAID,
+            "![every run of every arm](variants.png)",
+            "![share of the runs whose solving window has begun](solved.png)",
+            "`first_solved` in quantiles over the runs:",
+            markdown_table(*report.quantile_table(results, "first_solved")),
+            "## Sub-optimal trajectories, or an initialisation from MPC? (§1.1)",
+            *self.robustness(results),
+            self._time(results),
+        ]
+        return "\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
+
+    def summary(self, console: Console, results: Results) -> None:
+        """The tables in the terminal, and what they come to."""
+        if self.budgets:
+            report.print_table(console, "What a decision costs and earns", *_short(self.budgets))
+        super().summary(console, results)
+        for line in (*sentences(self.budgets), *self.robustness(results)):
+            console.print(line.replace("**", ""))
+
+    def _decisions(self) -> list[str]:
+        if not self.budgets:
+            return []
+        batch = self.budgets[0]["batch"]
+        return [
+            "## What a decision costs, and what it earns",
+            *sentences(self.budgets),
+            "![share of the return that could be had, against milliseconds a decision]"
+            "(decisions.png)",
+            "Share: of the most that could be had in the same episodes (the Maze's by value "
+            "iteration, CartPole's 200), with its 95% interval over the episodes. Steps: of the "
+            "world that is planned in, a decision. Milliseconds: of one call for one environment, "
+            f"and a decision's part of a call for {batch}; a jitted call takes some hundredths "
+            "of a millisecond whatever it does.",
+            markdown_table(*_long(self.budgets)),
+            GROUNDS_SAID,
+        ]
+
+    def robustness(self, results: Results) -> list[str]:
+        """Claim 21 in numbers, a line a model: paired differences, solved shares, worst runs."""
+        arms, lines = results["arms"], []
+        for name in [name for name in arms if name.startswith("mpc_init")]:
+            other = name.replace("mpc_init", "dyna")
+            if other not in arms:
+                continue
+            late, soon = (self.bounded(arms[arm]) for arm in (name, other))
+            ends = bootstrap_interval(late - soon, lambda values: values.mean(-1))
+            said = [
+                f"{arms[arm]['first_solved']['solved']} of {len(soon)} runs of `{arm}` solve, the "
+                f"worst {self._worst(arms[arm])}"
+                for arm in (other, name)
+            ]
+            lines.append(
+                f"{'; '.join(said)}. The solving window of `{name}` begins "
+                f"**{(late - soon).mean():+.0f}** episodes after that of `{other}` "
+                f"(95% interval {interval(ends)}, unsolved counted as {self.limit})."
+            )
+        return lines
+
+    def _worst(self, arm: Results) -> str:
+        values = arm["first_solved"]["per_seed"]
+        if any(value is None for value in values):
+            return f"not within {self.options.episodes} episodes"
+        return f"from episode {max(values):.0f} on"
+
+    def _time(self, results: Results) -> str:
+        timing = results["timing"]
+        rows = [
+            [name, f"{arm['compile_s']:.0f}", f"{arm['run_s']:.0f}"]
+            for name, arm in timing["arms"].items()
+        ]
+        return "## Time\n\n" + markdown_table(["arm", "compiling (s)", "running (s)"], rows)
+
+
+ARMS_SAID = (
+    "`dyna` is the `lean` preset. `mpc` (random shooting) and `mcts` (tree search) act by planning "
+    "on the model that they learn, from the same real episode on from which `dyna` dreams. In "
+    "`mpc_init` (Nagabandi et al. 2018) `mpc` plays some of these, the policy imitates them, and "
+    "model-free learning goes on. The models with fewer updates are poorer ones."
+)
+GROUNDS_SAID = (
+    "Policy, values and model come from one run of `dyna` in the `lean` preset. MPC is random "
+    "shooting. «To the goal» looks ahead half as far again as the goal is and is told nothing; a "
+    "planner with learned values looks a few steps ahead and takes the run's Q-values for what "
+    "comes after. MCTS is MuZero's search; without learned values in the Maze its leaves are "
+    "worth nothing, in CartPole what a random episode from them earns."
+)
+
+
+def sentences(rows: list[Results]) -> list[str]:
+    """How much longer planners take than the policy, and what that buys: a line an environment."""
+    lines = []
+    for name in dict.fromkeys(row["environment"] for row in rows):
+        here = [row for row in rows if row["environment"] == name]
+        policy = next(row for row in here if row["who"] == "policy")
+        said = []
+        for who in dict.fromkeys(row["who"] for row in here if row["world"] == "learned"):
+            own = [row for row in here if row["who"] == who and row["world"] == "learned"]
+            best = max(own, key=lambda row: (row["share"], -row["ms"]))
+            ratio = best["ms"] / policy["ms"]
+            apart = best["ms_in_batch"] / policy["ms_in_batch"]
+            said.append(
+                f"{who} at its best budget takes **{ratio:,.0f} times** as long "
+                f"({best['ms']:.2g} ms; {apart:,.0f} times in a batch) for {best['share']:.3f}"
+            )
+        lines.append(
+            f"{name}: the policy decides in {policy['ms']:.2g} ms and earns "
+            f"{policy['share']:.3f} of what could be had; on the learned model {'; '.join(said)}."
+        )
+    return lines
+
+
+def _long(rows: list[Results]) -> tuple[list[str], list[list[str]]]:
+    header = ["environment", "who decides", "world", "steps", "share", "95% interval", "ms",
+              "ms in a batch"]  # fmt: skip
+    return header, [
+        [
+            row["environment"],
+            row["who"],
+            row["world"],
+            f"{row['steps']:,}",
+            f"{row['share']:.3f}",
+            interval(row["share_ci95"], 3),
+            f"{row['ms']:.3g}",
+            f"{row['ms_in_batch']:.3g}",
+        ]
+        for row in rows
+    ]
+
+
+def _short(rows: list[Results]) -> tuple[list[str], list[list[str]]]:
+    header, long = _long(rows)
+    kept = [0, 1, 2, 3, 4, 6]
+    return [header[column] for column in kept], [[row[column] for column in kept] for row in long]

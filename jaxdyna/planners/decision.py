@@ -1,0 +1,90 @@
+"""What planners take and return, the same for each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+
+from jaxdyna.types import Environment, Key
+
+Value = Callable[[jax.Array, Any, Key], jax.Array]
+"""``(obs, state, key) -> return still to come``, a scalar."""
+
+
+class Guide(NamedTuple):
+    """What a planner may be told beside the world.
+
+    Attributes:
+        prior: ``obs -> log odds of the actions [A]``, for the planners that start from a policy;
+            None: all alike.
+        value: what comes after the last step that is looked at, in the planner's discounted return;
+            None: nothing. Not asked for after the world has ended, but after a truncation.
+    """
+
+    prior: Callable[[jax.Array], jax.Array] | None = None
+    value: Value | None = None
+
+
+class Decision(NamedTuple):
+    """What to do now.
+
+    Attributes:
+        action: int32 scalar.
+        value: the discounted return that the planner expects, scalar.
+    """
+
+    action: jax.Array
+    value: jax.Array
+
+
+class Planner(Protocol):
+    """Decides by looking ahead in an environment, true or learned alike; pure."""
+
+    def __call__(
+        self, env_params: Any, obs: jax.Array, state: Any, key: Key, guide: Guide = Guide()
+    ) -> Decision:
+        """Plans from one state.
+
+        Args:
+            env_params: the environment's parameters; a learned one's weights travel here.
+            obs: what is seen ``[*obs]``.
+            state: the environment's state that is seen so.
+            key: random key.
+            guide: a prior, a value, or neither.
+        """
+
+
+def rollout_value(
+    env: Environment, env_params: Any, num_steps: int, discount: float = 1.0
+) -> Value:
+    """The value of a state by one random episode from it, as in the first Monte Carlo tree searches
+    (Kocsis and Szepesvári 2006).
+
+    Args:
+        env: the environment.
+        env_params: its parameters.
+        num_steps: steps at the most, static.
+        discount: scalar in [0, 1].
+    """
+
+    def value(obs: jax.Array, state: Any, key: Key) -> jax.Array:
+        del obs
+
+        def step(carry, _):
+            state, weight, total, key = carry
+            key, key_action, key_step = jax.random.split(key, 3)
+            action = jax.random.randint(key_action, (), 0, env.num_actions)
+            _, state, reward, terminated, truncated, _ = env.step(
+                key_step, state, action, env_params
+            )
+            total = total + weight * reward
+            weight = jnp.where(terminated | truncated, 0.0, discount * weight)
+            return (state, weight, total, key), None
+
+        start = (state, jnp.float32(1), jnp.float32(0), key)
+        return jax.lax.scan(step, start, length=num_steps)[0][2]
+
+    return value

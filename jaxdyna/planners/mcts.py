@@ -1,0 +1,176 @@
+"""Monte Carlo tree search by mctx, an environment's ``step`` as its recurrent function: a learned
+model is searched as MuZero searches its own (Schrittwieser et al. 2020).
+
+The ``planning`` extra brings mctx; nothing else needs it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxdyna.planners.decision import Decision, Guide, Planner
+from jaxdyna.types import Environment, Key
+
+
+@dataclass(frozen=True)
+class SearchConfig:
+    """What decides the program.
+
+    Attributes:
+        simulations: nodes that the tree grows by: steps of the world.
+        max_depth: deepest node; None for as many as ``simulations``.
+        discount: of the return.
+        considered: actions at the root that `gumbel_muzero` looks at, the likeliest by prior and
+            noise.
+        gumbel_scale: of that noise; 0 looks at the likeliest and decides for the best.
+        dirichlet_fraction: share of noise in the prior at the root of `muzero`.
+        temperature: of the visits that `muzero` draws its action by; 0 takes the most visited.
+    """
+
+    simulations: int = 32
+    max_depth: int | None = None
+    discount: float = 0.99
+    considered: int = 16
+    gumbel_scale: float = 0.0
+    dirichlet_fraction: float = 0.0
+    temperature: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("simulations", "considered", "max_depth"):
+            if getattr(self, name) is not None and getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must be at least 1")
+        for name in ("discount", "dirichlet_fraction"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must lie between 0 and 1")
+        for name in ("gumbel_scale", "temperature"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must be 0 or more")
+
+
+class Node(NamedTuple):
+    """What the tree keeps of a step, each ``[B, ...]``: the last one of an episode that is over."""
+
+    obs: jax.Array
+    state: Any
+    alive: jax.Array
+
+
+def gumbel_muzero(env: Environment, config: SearchConfig) -> Planner:
+    """Search by sequential halving with Gumbel noise (Danihelka et al. 2022): a policy is improved
+    whatever the number of simulations.
+
+    Args:
+        env: the world to plan in: a true or a learned environment.
+        config: the program's settings.
+
+    Raises:
+        ImportError: without mctx.
+    """
+    mctx = require_mctx()
+
+    def search(key: Key, root: Any, recurrent: Callable) -> Any:
+        return mctx.gumbel_muzero_policy(
+            None,
+            key,
+            root,
+            recurrent,
+            config.simulations,
+            max_depth=config.max_depth,
+            max_num_considered_actions=config.considered,
+            gumbel_scale=config.gumbel_scale,
+        )
+
+    return _planner(mctx, env, config, search)
+
+
+def muzero(env: Environment, config: SearchConfig) -> Planner:
+    """Search by upper confidence bounds under the prior (Schrittwieser et al. 2020).
+
+    Args:
+        env: the world to plan in: a true or a learned environment.
+        config: the program's settings.
+
+    Raises:
+        ImportError: without mctx.
+    """
+    mctx = require_mctx()
+
+    def search(key: Key, root: Any, recurrent: Callable) -> Any:
+        return mctx.muzero_policy(
+            None,
+            key,
+            root,
+            recurrent,
+            config.simulations,
+            max_depth=config.max_depth,
+            dirichlet_fraction=config.dirichlet_fraction,
+            temperature=config.temperature,
+        )
+
+    return _planner(mctx, env, config, search)
+
+
+def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable) -> Planner:
+    """mctx searches batches: this one's is of 1, and ``vmap`` makes them larger."""
+
+    def plan(
+        env_params: Any, obs: jax.Array, state: Any, key: Key, guide: Guide = Guide()
+    ) -> Decision:
+        def prior(obs: jax.Array) -> jax.Array:
+            return guide.prior(obs) if guide.prior else jnp.zeros(env.num_actions)
+
+        def value(node: Node, key: Key) -> jax.Array:
+            return guide.value(node.obs, node.state, key) if guide.value else jnp.float32(0)
+
+        def step(node: Node, action: jax.Array, key: Key):
+            """One step of the world; an episode that is over stays where it is, at its value."""
+            key_step, key_value = jax.random.split(key)
+            obs, state, reward, terminated, truncated, _ = env.step(
+                key_step, node.state, action, env_params
+            )
+            new = Node(obs, state, ~(terminated | truncated))
+            new = jax.tree.map(lambda new, old: jnp.where(node.alive, new, old), new, node)
+            output = mctx.RecurrentFnOutput(
+                reward=jnp.where(node.alive, reward, 0.0),
+                discount=jnp.where(node.alive, config.discount * (1.0 - terminated), 1.0),
+                prior_logits=prior(new.obs),
+                value=value(new, key_value),
+            )
+            return output, new
+
+        def recurrent(_: Any, key: Key, action: jax.Array, node: Node):
+            keys = jax.random.split(jax.random.wrap_key_data(key), action.shape[0])
+            return jax.vmap(step)(node, action, keys)
+
+        key_value, key_search = jax.random.split(key)
+        node = Node(obs, state, jnp.bool_(True))
+        root = mctx.RootFnOutput(
+            prior_logits=prior(obs), value=value(node, key_value), embedding=node
+        )
+        raw = jax.random.key_data(
+            key_search
+        )  # mctx draws twice from one, which a typed key refuses
+        found = search(raw, jax.tree.map(lambda leaf: leaf[None], root), recurrent)
+        tree = found.search_tree
+        action = found.action[0].astype(jnp.int32)
+        return Decision(action, tree.qvalues(jnp.zeros(1, jnp.int32))[0, action])
+
+    return plan
+
+
+def require_mctx() -> Any:
+    """The module mctx.
+
+    Raises:
+        ImportError: with what to install.
+    """
+    try:
+        import mctx  # noqa: PLC0415 - only this module needs it, and only when it is used
+    except ImportError as error:
+        raise ImportError('tree search needs mctx: pip install "jaxdyna[planning]"') from error
+    return mctx

@@ -1,0 +1,224 @@
+"""Model-predictive control over sequences of discrete actions (Nagabandi et al. 2018, §IV-C): try
+sequences in the world, do the first action of the best one, plan anew after every step.
+
+A reward is seen only within the horizon: it has to reach as far as the goal is, or
+`jaxdyna.planners.Guide.value` has to say what comes after. Planning starts from nothing at every
+step: there is no warm start.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxdyna.planners.decision import Decision, Guide, Planner, Value
+from jaxdyna.types import Environment, Key
+
+
+@dataclass(frozen=True)
+class ShootingConfig:
+    """What decides the program.
+
+    Attributes:
+        horizon: steps that are looked ahead.
+        candidates: sequences that are tried; times ``horizon``, the steps of the world.
+        discount: of the return.
+        drift: standard deviation of the log odds of a candidate's actions, drawn for each: it keeps
+            a direction, as a random walk does not. 0: every action is as likely at every step.
+        temperature: of the returns by which `random_shooting` chooses: an action is worth ``t log
+            mean exp(return / t)`` of the sequences that begin with it. 0 goes by the best of them,
+            infinity by their mean: what is safe whatever follows wins over what a single sequence
+            gets away with.
+        particles: episodes that a sequence is judged by, for a world that is random.
+    """
+
+    horizon: int = 20
+    candidates: int = 64
+    discount: float = 1.0
+    drift: float = 0.0
+    temperature: float = 0.0
+    particles: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("horizon", "candidates", "particles"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must be at least 1")
+        if not 0 <= self.discount <= 1:
+            raise ValueError(f"discount is {self.discount}: it must lie between 0 and 1")
+        for name in ("drift", "temperature"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must be 0 or more")
+
+
+@dataclass(frozen=True)
+class CrossEntropyConfig(ShootingConfig):
+    """What decides the program of the cross-entropy method.
+
+    Attributes:
+        iterations: rounds of so many ``candidates`` each.
+        elites: best candidates of a round that the next one is drawn like.
+        floor: least probability of an action in the next round, shared by all actions.
+    """
+
+    iterations: int = 3
+    elites: int = 8
+    floor: float = 0.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.iterations < 1:
+            raise ValueError(f"iterations is {self.iterations}: it must be at least 1")
+        if not 1 <= self.elites <= self.candidates:
+            raise ValueError(
+                f"elites is {self.elites}: it must lie between 1 and the {self.candidates} "
+                "candidates"
+            )
+        if not 0 < self.floor <= 1:
+            raise ValueError(f"floor is {self.floor}: it must lie above 0 and be at most 1")
+
+
+def score(
+    env: Environment,
+    env_params: Any,
+    obs: jax.Array,
+    state: Any,
+    actions: jax.Array,
+    key: Key,
+    discount: float = 1.0,
+    value: Value | None = None,
+) -> jax.Array:
+    """The return of a sequence of actions ``[H]``, a scalar: the discounted rewards up to the end
+    of the episode and ``value`` of where it is left, unless the world has ended there.
+    """
+    key_steps, key_value = jax.random.split(key)
+
+    def step(carry, action):
+        seen, state, alive, ended, weight, total, key = carry
+        key, key_now = jax.random.split(key)
+        next_obs, next_state, reward, terminated, truncated, _ = env.step(
+            key_now, state, action, env_params
+        )
+        total = total + jnp.where(alive, weight * reward, 0.0)
+        weight = jnp.where(alive, discount * weight, weight)
+        ended = ended | (alive & terminated)
+        seen, state = jax.tree.map(
+            lambda new, old: jnp.where(alive, new, old),
+            (next_obs if value else (), next_state),
+            (seen, state),
+        )
+        return (seen, state, alive & ~(terminated | truncated), ended, weight, total, key), None
+
+    flags, numbers = (jnp.bool_(True), jnp.bool_(False)), (jnp.float32(1), jnp.float32(0))
+    start = (obs if value else (), state, *flags, *numbers, key_steps)
+    (seen, state, _, ended, weight, total, _), _ = jax.lax.scan(step, start, actions)
+    if value is None:
+        return total
+    rest = value(jnp.asarray(seen), state, key_value)
+    return total + jnp.where(ended, 0.0, weight * rest)
+
+
+def random_shooting(env: Environment, config: ShootingConfig) -> Planner:
+    """The best of random sequences. Of equally good ones the first is chosen.
+
+    Args:
+        env: the world to plan in: a true or a learned environment.
+        config: the program's settings.
+    """
+    judge = _judge(env, config)
+
+    def plan(
+        env_params: Any, obs: jax.Array, state: Any, key: Key, guide: Guide = Guide()
+    ) -> Decision:
+        key_draw, key_score = jax.random.split(key)
+        actions = _first_candidates(env.num_actions, config, key_draw)
+        returns = judge(env_params, obs, state, actions, key_score, guide.value)
+        worth = _worth(actions[:, 0], returns, env.num_actions, config.temperature)
+        action = jnp.argmax(worth).astype(jnp.int32)
+        return Decision(action, worth[action])
+
+    return plan
+
+
+def cross_entropy(env: Environment, config: CrossEntropyConfig) -> Planner:
+    """The cross-entropy method (Rubinstein 1999; Botev et al. 2013): rounds of sequences, each
+    round's actions drawn with the frequencies that they have, at each step, in the best sequences
+    of the round before.
+
+    Args:
+        env: the world to plan in: a true or a learned environment.
+        config: the program's settings.
+
+    Returns:
+        A planner that does the first action of the best sequence of all rounds.
+    """
+    judge, num_actions = _judge(env, config), env.num_actions
+
+    def refine(frequency: jax.Array, key: Key) -> jax.Array:
+        odds = (1 - config.floor) * frequency + config.floor / num_actions
+        shape = (config.candidates, config.horizon)
+        return jax.random.categorical(key, jnp.log(odds), shape=shape)
+
+    def plan(
+        env_params: Any, obs: jax.Array, state: Any, key: Key, guide: Guide = Guide()
+    ) -> Decision:
+        def consider(best: Decision, actions: jax.Array, key: Key) -> tuple[Decision, jax.Array]:
+            returns = judge(env_params, obs, state, actions, key, guide.value)
+            values, rows = jax.lax.top_k(returns, config.elites)
+            new = Decision(actions[rows[0], 0].astype(jnp.int32), values[0])
+            better = new.value > best.value
+            best = jax.tree.map(lambda new, old: jnp.where(better, new, old), new, best)
+            return best, jax.nn.one_hot(actions[rows], num_actions).mean(0)
+
+        def again(carry, _):
+            best, frequency, key = carry
+            key, key_draw, key_score = jax.random.split(key, 3)
+            return (*consider(best, refine(frequency, key_draw), key_score), key), None
+
+        key_draw, key_score, key_rounds = jax.random.split(key, 3)
+        nothing = Decision(jnp.int32(0), -jnp.float32(jnp.inf))
+        first = consider(nothing, _first_candidates(num_actions, config, key_draw), key_score)
+        rounds = config.iterations - 1
+        return jax.lax.scan(again, (*first, key_rounds), length=rounds)[0][0]
+
+    return plan
+
+
+def _worth(
+    action: jax.Array, returns: jax.Array, num_actions: int, temperature: float
+) -> jax.Array:
+    """What first actions are worth ``[A]`` by the returns of sequences ``[candidates]``; -inf for
+    one that was not tried. Information-theoretic control (Williams et al. 2017), action by action.
+    """
+    own = action == jnp.arange(num_actions)[:, None]
+    tried = jnp.where(own, returns, -jnp.inf)
+    if temperature == 0:
+        return tried.max(-1)
+    if math.isinf(temperature):
+        mean = jnp.where(own, returns, 0).sum(-1) / jnp.maximum(own.sum(-1), 1)
+        return jnp.where(own.any(-1), mean, -jnp.inf)
+    return temperature * (jax.nn.logsumexp(tried / temperature, -1) - jnp.log(own.sum(-1)))
+
+
+def _first_candidates(num_actions: int, config: ShootingConfig, key: Key) -> jax.Array:
+    """Sequences ``[candidates, horizon]`` drawn without knowing anything."""
+    key_odds, key_actions = jax.random.split(key)
+    odds = config.drift * jax.random.normal(key_odds, (config.candidates, 1, num_actions))
+    shape = (config.candidates, config.horizon)
+    return jax.random.categorical(key_actions, odds, shape=shape)
+
+
+def _judge(env: Environment, config: ShootingConfig):
+    """Returns ``[candidates]`` of sequences ``[candidates, horizon]``, means over particles."""
+
+    def judge(env_params, obs, state, actions, key, value):
+        def one(actions, key):
+            return score(env, env_params, obs, state, actions, key, config.discount, value)
+
+        keys = jax.random.split(key, (actions.shape[0], config.particles))
+        return jax.vmap(jax.vmap(one, (None, 0)))(actions, keys).mean(-1)
+
+    return judge

@@ -1,0 +1,116 @@
+"""Experts in real episodes, and agents that imitate them."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from parts import AGENT, DYNA, ENV, SMALL, assert_close, assert_same, hparams, random_act
+
+from jaxdyna import rollout, sweep
+from jaxdyna.agents import CloningConfig, ReinforceConfig, ReinforceHParams, cloning, policy_logits
+from jaxdyna.agents.cloning import cross_entropy_loss, margin_loss
+from jaxdyna.dyna import Expert, make_train
+from jaxdyna.sweep import AXES
+
+EXAMPLE = (jax.ShapeDtypeStruct((4,), np.float32), jax.ShapeDtypeStruct((), np.int32))
+LOGITS = policy_logits(2, ReinforceConfig(hidden=(8,)))
+CONFIG = CloningConfig(updates=60, batch=32, capacity=600, learning_rate=0.05)
+IMITATOR = cloning(AGENT, LOGITS, EXAMPLE, CONFIG)
+
+
+def lean_to(state, obs, key, hparams):
+    """Pushes to the side that the pole falls to: an expert that needs no model."""
+    return (obs[2] + obs[3] > 0).astype(jnp.int32)
+
+
+def shown(seed, episodes=8):
+    def act(obs, key):
+        return lean_to(None, obs, key, None)
+
+    return rollout(ENV, act, jax.random.key(seed), ENV.default_params, episodes, num_steps=60)
+
+
+def test_losses_by_hand():
+    outputs = jnp.array([1.0, 2.0, 0.5])
+    expected = optax.softmax_cross_entropy_with_integer_labels(outputs, 1)
+    np.testing.assert_allclose(cross_entropy_loss(outputs, 1), expected, rtol=1e-6)
+    np.testing.assert_allclose(margin_loss(outputs, 0), 1.8)
+    np.testing.assert_allclose(margin_loss(outputs, 1), 0.0)
+    np.testing.assert_allclose(margin_loss(outputs, 1, margin=1.5), 0.5)
+
+
+def test_what_was_shown_is_imitated():
+    state = IMITATOR.init(jax.random.key(0), ReinforceHParams())
+    update = jax.jit(IMITATOR.update_expert)
+    new, metrics = update(state, shown(1), jax.random.key(2), ReinforceHParams())
+    assert jax.tree.structure(new) == jax.tree.structure(state)
+    assert np.isfinite(metrics["loss"])
+    seen = shown(3)
+    chosen = jax.vmap(jax.vmap(LOGITS, (None, 0)), (None, 0))(new.agent.params, seen.obs)
+    right = (chosen.argmax(-1) == seen.action)[seen.mask]
+    assert right.mean() > 0.9
+    assert new.shown.size == shown(1).mask.sum()
+    nothing = shown(1)._replace(mask=shown(1).mask * 0.0)
+    assert_same(update(state, nothing, jax.random.key(2), ReinforceHParams())[0], state)
+
+
+def test_it_is_the_agent_in_everything_else():
+    state = IMITATOR.init(jax.random.key(0), ReinforceHParams())
+    episodes = rollout(ENV, random_act, jax.random.key(1), ENV.default_params, 4, num_steps=20)
+    own, _ = AGENT.update(state.agent, episodes, jax.random.key(2), ReinforceHParams())
+    new, _ = IMITATOR.update(state, episodes, jax.random.key(2), ReinforceHParams())
+    assert_close(new.agent, own)
+    assert_same(new.shown, state.shown)
+    obs = episodes.obs[0, 0]
+    action = IMITATOR.act(state, obs, jax.random.key(3), ReinforceHParams())
+    assert action == AGENT.act(state.agent, obs, jax.random.key(3), ReinforceHParams())
+
+
+TEN = replace(SMALL, num_episodes=10, num_steps=60, dream_updates=0)
+LONGER = hparams(env=ENV.default_params.replace(max_steps=60))
+WITHOUT = DYNA._replace(dream=None, diagnose=None)
+
+
+def run(dyna):
+    return jax.jit(make_train(dyna, TEN))(jax.random.key(0), LONGER)
+
+
+@pytest.fixture(scope="module")
+def alone():
+    return run(WITHOUT)
+
+
+def test_an_expert_plays_its_own_episodes_and_is_imitated(alone):
+    expert = Expert(lean_to, episodes=3)
+    state, metrics = run(WITHOUT._replace(agent=IMITATOR, expert=expert))
+    mine, others = np.asarray(metrics["real_return"]), np.asarray(alone[1]["real_return"])
+    np.testing.assert_array_equal(mine[:2], others[:2])  # N = 2: the agent gathers data
+    assert mine[2:5].min() > 40 and mine[5:].mean() > 1.5 * others[5:].mean()
+    assert state.agent.shown.added == mine[2:5].sum()
+    trained = np.isfinite(np.asarray(metrics["model_loss"]))
+    np.testing.assert_array_equal(trained, [True] * 4 + [False] * 6)  # then no one looks at it
+
+
+def test_an_expert_sees_the_model_and_may_play_to_the_end():
+    def act(state, obs, key, hparams):
+        prediction = DYNA.model.predict(state.model.params, obs, jnp.int32(1), key)
+        return (prediction.next_obs[2] > 0).astype(jnp.int32)
+
+    def learn_nothing(state, transitions, key, hparams):
+        return state, {"loss": jnp.float32(0)}
+
+    agent = AGENT._replace(update_expert=learn_nothing)
+    dyna = WITHOUT._replace(agent=agent, expert=Expert(act))
+    keys = jax.random.split(jax.random.key(0), 2)
+    _, metrics = sweep(make_train(dyna, TEN, AXES), keys, LONGER)
+    np.testing.assert_array_equal(metrics["agent_loss"][0, :, 2:], 0)
+    assert np.isfinite(metrics["model_loss"]).all()
+
+
+@pytest.mark.parametrize("name", ["updates", "batch", "capacity", "learning_rate"])
+def test_clear_errors(name):
+    with pytest.raises(ValueError, match=f"{name} is 0"):
+        replace(CONFIG, **{name: 0})
