@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.networks import ShiftDynamics
-from jaxdyna.networks.shifts import places, shift_matrix, tiles, whereabouts
+from jaxdyna.networks.shifts import places, shift_matrix, whereabouts
 
 
 def test_a_shift_moves_a_line_and_repeats_its_edge():

@@ -18,6 +18,11 @@ COLOURS = {
     "placebo": "#b5651d",
     "oracle": "#6a4c93",
     "more_updates": "#c2185b",
+    "dyna_l2": "#c0392b",
+    "dyna_adversarial": "#d08770",
+    "true_ball": "#2e7dbd",
+    "true_own": "#7f8c1f",
+    "true_opponent": "#888888",
 }
 
 

@@ -71,9 +71,7 @@ def draw_player(key: Key, mixed: jax.Array | bool) -> Player:
     return Player(skill, jax.random.uniform(key_aim, minval=-FARTHEST_AIM, maxval=FARTHEST_AIM))
 
 
-def choose(
-    player: Player, ball: jax.Array, own: jax.Array, seen: jax.Array, key: Key
-) -> jax.Array:
+def choose(player: Player, ball: jax.Array, own: jax.Array, seen: jax.Array, key: Key) -> jax.Array:
     """An action, int32.
 
     Args:

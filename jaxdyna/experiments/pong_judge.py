@@ -51,7 +51,8 @@ def judge(
     Returns:
         ``one_step`` ``[objects, 3]``: pixels rightly lit, lit, and of the object; ``mass``
         ``[objects, 2]``: sums of the beliefs at its pixels and elsewhere in its channel; ``dream``
-        ``[horizon, objects, 3]`` as ``one_step``; ``seen``, ``truth`` and ``belief`` of a step with
+        ``[horizon, objects, 3]`` as ``one_step``, and ``dream_unserved`` of those within which no
+        ball has been served yet; ``seen``, ``truth`` and ``belief`` of a step with
         all objects in sight; ``film_truth`` and ``film_dream`` ``[horizon, H, W, 3]``.
     """
     episodes, steps = new.action.shape
@@ -89,32 +90,39 @@ def _dreams(
             return open_loop(asked.predict, params, obs, action, key).next_obs[..., -3:]
 
         dreamed = jax.vmap(one)(first.obs, action, jax.random.split(key_dream, episodes))
-        later = start + 1 + jnp.arange(horizon)
-        truth = jax.vmap(lambda episode: _objects(view, new, episode, later))(jnp.arange(episodes))
+        times = start + jnp.arange(horizon + 1)
+        truth = jax.vmap(lambda episode: _objects(view, new, episode, times))(jnp.arange(episodes))
         lit = dreamed > 255 * asked.threshold
-        return key, (counts(lit, truth, (0, 2, 3)), truth[0], dreamed[0])
+        counted = counts(lit, truth[:, 1:], (2, 3))
+        ball = truth[..., OBJECTS["ball"]].any((2, 3))
+        unserved = jnp.cumsum(ball[:, 1:] & ~ball[:, :-1], axis=1) == 0
+        return key, (
+            counted.sum(0),
+            (counted * unserved[..., None, None]).sum(0),
+            truth[0, 1:],
+            dreamed[0],
+        )
 
-    _, (counted, truth, dreamed) = jax.lax.scan(from_start, key, jnp.array(starts))
+    _, (counted, unserved, truth, dreamed) = jax.lax.scan(from_start, key, jnp.array(starts))
     return {
         "dream": counted.sum(0),
+        "dream_unserved": unserved.sum(0),
         "film_truth": 255 * truth[0].astype(jnp.uint8),
         "film_dream": dreamed[0],
     }
 
 
 def _shown(asked: Asked, params: Any, view: View, new: Played) -> Judgement:
-    """The step of the last episode in whose truth most is seen: the ball furthest from the walls'
-    and the paddles' sides, all objects whole.
+    """The step of the last episode in which the own paddle moves most while all objects are in
+    sight.
     """
     steps = new.action.shape[1]
     episode = jnp.int32(new.action.shape[0] - 1)
-    times = jnp.arange(steps)
-    truth = _objects(view, new, episode, times + 1)
-    sizes = truth.sum((1, 2))
-    rows = jnp.abs(jnp.linspace(-1, 1, truth.shape[1]))
-    moved = jnp.abs(jnp.diff(sizes * 0 + jnp.einsum("thwc,h->tc", truth, rows), axis=0, prepend=0))
-    whole = (sizes >= jnp.median(sizes, axis=0)).sum(-1) + 0.1 * jnp.minimum(moved[:, 1], 9.0)
-    time = jnp.argmax(jnp.where((sizes > 0).all(-1), whole, -1.0))
+    truth = _objects(view, new, episode, jnp.arange(1, steps + 1))
+    before = _objects(view, new, episode, jnp.arange(steps))
+    whole = (truth.sum((1, 2)) >= jnp.median(truth.sum((1, 2)), axis=0)).all(-1)
+    changed = (truth ^ before)[..., OBJECTS["own paddle"]].sum((1, 2))
+    time = jnp.argmax(jnp.where(whole & before.any((1, 2)).all(-1), changed, -1))
     shown = take(view, new, episode[None], time[None])
     return {
         "seen": shown.obs[0],

@@ -66,7 +66,7 @@ class Options:
     """Runs of every arm, all in one jitted program."""
     seed: int = 0
     """Base seed of all runs."""
-    episodes: int = 100
+    episodes: int = 400
     """Episodes of each policy that a model is trained on."""
     policies: tuple[Policy, ...] = POLICIES
     """Whose episodes: random: every action at random; mixed: players of all strengths, from random
@@ -78,8 +78,8 @@ class Options:
     """Folder for the results; runs/pong-model by default."""
     resume: bool = False
     """Go on with the run in that folder: arms that are finished are not repeated."""
-    scale: int = 2
-    """The game's pixels in a pixel of the frame, a side: 2 gives 80x80."""
+    scale: int = 4
+    """The game's pixels in a pixel of the frame, a side: 4 gives 40x40."""
     frame_skip: int = 4
     """The game's frames in a step."""
     steps: int = 200
@@ -87,11 +87,11 @@ class Options:
     serve_delay: int = 4
     """The game's frames from a point to the next serve (63 in the real game, more than a stack of
     four frames can count). The real game keeps its own."""
-    patch: int = 5
+    patch: int = 4
     """Pixels a side of the patches that Fig. 4 works on."""
     widths: tuple[int, ...] = (32, 32, 32)
     """Channels of the three convolutions of Fig. 4."""
-    kernels: tuple[int, ...] = (5, 4, 4)
+    kernels: tuple[int, ...] = (4, 3, 3)
     """Patches a side of their kernels."""
     dense: int = 512
     """Width of its dense layer."""
@@ -103,11 +103,11 @@ class Options:
     """New episodes of the mixed policy that models are judged on."""
     horizon: int = 30
     """Steps of an open-loop dream."""
-    dreams: int = 5
+    dreams: int = 8
     """Dreams in each held-out episode."""
     paper: Training = field(default_factory=lambda: Training(4000, 32, 1e-3))
     """Training of Fig. 4."""
-    ours: Training = field(default_factory=lambda: Training(20_000, 64, 2e-3))
+    ours: Training = field(default_factory=lambda: Training(8000, 64, 3e-3))
     """Training of ours."""
 
     def __post_init__(self) -> None:
@@ -172,8 +172,6 @@ _FEW: dict[str, Any] = {
     "seeds": 2,
     "episodes": 20,
     "steps": 100,
-    "scale": 5,
-    "patch": 2,
     "widths": (8, 8, 8),
     "dense": 64,
     "hidden": (128, 128),

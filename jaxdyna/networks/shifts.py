@@ -18,7 +18,7 @@ class ShiftDynamics(nn.Module):
     2016), may vanish, and may appear where the network has learned that it does. What decides is
     where the colours are in each frame of the stack, the mean place of each, and the action. A
     thing that moves keeps its shape: nothing blurs but what is uncertain. Meant for pictures in
-    which every colour is a single thing.
+    which every colour is a single rectangle, which its rows and its columns say.
 
     Attributes:
         channels: of the picture that is predicted.
@@ -49,7 +49,7 @@ class ShiftDynamics(nn.Module):
         x = jnp.concatenate([places(where), tiles(where, self.reach), action], axis=-1)
         for features in self.hidden:
             x = nn.relu(nn.Dense(features)(x))
-        rows, columns = (2 * cells + 1 for cells in self.reach)
+        num_down, num_right = (2 * cells + 1 for cells in self.reach)
 
         def head(size: int) -> jax.Array:
             return nn.Dense(self.channels * size)(x).reshape(count, self.channels, size)
@@ -60,10 +60,10 @@ class ShiftDynamics(nn.Module):
                 return jax.nn.one_hot(odds.argmax(-1), size, dtype=odds.dtype)
             return jax.nn.softmax(odds)
 
-        down, right = shares(rows), shares(columns)
-        moved = jnp.einsum(
-            "ncih,nhwc,ncjw->nijc", shift_matrix(down, height), newest, shift_matrix(right, width)
-        )
+        down, right = shares(num_down), shares(num_right)
+        rows = jnp.einsum("ncih,nhc->nic", shift_matrix(down, height), newest.max(2))
+        columns = jnp.einsum("ncjw,nwc->njc", shift_matrix(right, width), newest.max(1))
+        moved = rows[:, :, None] * columns[:, None]
         stays, appears = jnp.moveaxis(jax.nn.sigmoid(head(2))[:, :, None, None], -1, 0)
         stays, appears = (jnp.moveaxis(share, 1, -1) for share in (stays, appears))
         origin = self.param("where", nn.initializers.constant(-4.0), newest.shape[1:])
