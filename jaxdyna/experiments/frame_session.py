@@ -56,14 +56,14 @@ class Study(NamedTuple):
         train: ``(run, (stage, updates, total), hparams) -> (run, losses)``: so many more of the
             stage's ``total`` of updates.
         judge: ``(run, stage, hparams) -> (run, judgement)``.
-        data: ``seeds -> data [1, seeds, ...]``: what a host has collected for `Run.data`; None
+        data: ``() -> data [1, seeds, ...]``: what a host has collected for `Run.data`; None
             where ``init`` has made it.
     """
 
     init: Callable[[Key, Any], Run]
     train: Callable[[Run, Any, Any], tuple[Run, dict[str, jax.Array]]]
     judge: Callable[[Run, Any, Any], tuple[Run, dict[str, jax.Array]]]
-    data: Callable[[int], Any] | None = None
+    data: Callable[[], Any] | None = None
 
 
 class FrameExperiment(NamedTuple):
@@ -188,7 +188,7 @@ class Trainee:
         self._start, self._train = make_pieces(study.init, study.train, block)
         self._judge = make_pieces(study.init, study.judge, block)[1]
         self.keys = jax.random.split(jax.random.key(options.seed), options.seeds)
-        self.data = study.data(options.seeds) if study.data else None
+        self.data = study.data() if study.data else None
         self.saved = time.perf_counter()
 
     def play(self, stage: Any) -> None:

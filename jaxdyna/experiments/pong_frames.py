@@ -33,4 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs the experiment from the command line; returns the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     options = cli.parse(QUICK if "--quick" in arguments else PRESETS, arguments, PROG)
-    return frame_session.run(EXPERIMENT, options, arguments)
+    try:
+        return frame_session.run(EXPERIMENT, options, arguments)
+    except ImportError as error:
+        cli.fail(str(error), PROG)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.experiments import pong_ale
 from jaxdyna.experiments.frame_session import Run, Study
 from jaxdyna.experiments.pong_data import Played, View, play, sample, view_of
 from jaxdyna.experiments.pong_judge import Asked, Judgement, judge
@@ -33,8 +35,10 @@ def make_study(options: Options, arm: str) -> Study:
     """Training on the episodes of one policy, the stage, a position in `POLICIES`. A key gives
     every arm the same episodes, and the same ones held out.
     """
-    view = view_of(game_of(options))
     model, asked = make_model(options, arm)
+    if options.game == "ale":
+        return _real_study(options, arm, model, asked)
+    view = view_of(game_of(options))
 
     def collect(key: Key) -> tuple[Played, Played]:
         game, params, steps = game_of(options), params_of(options), options.steps
@@ -52,6 +56,24 @@ def make_study(options: Options, arm: str) -> Study:
         return Run(collect(key_data), key, state, jnp.int32(0))
 
     return Study(init, *make_phases(options, arm, model, asked, view))
+
+
+def _real_study(options: Options, arm: str, model: DynamicsModel, asked: Asked) -> Study:
+    """The same on the real game's episodes, which a host collects."""
+
+    def init(key: Key, _: Any) -> Run:
+        key, key_init = jax.random.split(key)
+        state = model.init(key_init, _hparams(options, arm, 0.0))
+        return Run(None, key, state, jnp.int32(0))
+
+    phases = make_phases(options, arm, model, asked, pong_ale.VIEW)
+    return Study(init, *phases, data=lambda: real_episodes(options))
+
+
+@cache
+def real_episodes(options: Options) -> Any:
+    """The real game's episodes, collected once for all arms."""
+    return pong_ale.collect_all(options)
 
 
 def make_phases(

@@ -11,8 +11,8 @@ from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs import PongParams
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.maze_train_options import SHARES
+from jaxdyna.experiments.pong_options import DREAM_FROM, config_of, game_of, params_of
 from jaxdyna.experiments.pong_options import Options as Frames
-from jaxdyna.experiments.pong_options import config_of, game_of, params_of
 from jaxdyna.models import AdversarialHParams, PixelConfig
 from jaxdyna.networks import GlimpseQ, SignedReward
 from jaxdyna.statistics import SolveRule
@@ -128,6 +128,8 @@ class Options:
             raise ValueError(f"--glimpse is {self.glimpse}: give an odd number of pixels")
         if not 0 <= self.reward_weight < float("inf"):
             raise ValueError("--reward-weight must be a finite number of at least 0")
+        if self.steps <= DREAM_FROM:
+            raise ValueError(f"--steps is {self.steps}: an episode needs more than {DREAM_FROM}")
         frames_of(self)
         dyna_config(self)
 
@@ -139,13 +141,12 @@ class Options:
 
 def frames_of(options: Options) -> Frames:
     """What `pong_options` is to be told for the same game and models."""
-    names = ("scale", "frame_skip", "steps", "serve_delay", "patch", "widths", "kernels", "dense")
-    same = {name: getattr(options, name) for name in (*names, "hidden")}
-    return Frames(**same, horizon=1, dreams=1) if options.steps > 10 else _too_short(options.steps)
-
-
-def _too_short(steps: int) -> Frames:
-    raise ValueError(f"--steps is {steps}: an episode of Pong needs more than 10")
+    names = (
+        "scale", "frame_skip", "steps", "serve_delay", "patch", "widths", "kernels", "dense",
+        "hidden",
+    )  # fmt: skip
+    same = {name: getattr(options, name) for name in names}
+    return Frames(**same, horizon=1, dreams=1)
 
 
 def dyna_config(options: Options) -> DynaConfig:
@@ -188,7 +189,16 @@ def env_params(options: Options) -> PongParams:
 
 
 PAPER = Options()
-LEAN = replace(PAPER, preset="lean", arms=("model_free", "dyna"), real_first=10)
+LEAN = replace(
+    PAPER,
+    preset="lean",
+    arms=("model_free", "dyna"),
+    real_first=5,
+    hparams=replace(
+        PAPER.hparams,
+        agent=replace(PAPER.hparams.agent, epsilon_hold=10.0, epsilon_episodes=15.0),
+    ),
+)
 PRESETS = {"paper": PAPER, "lean": LEAN}
 _FEW: dict[str, Any] = {
     "quick": True,
