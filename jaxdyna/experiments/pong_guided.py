@@ -4,7 +4,7 @@ of it for the oracle, one object where the question is which object's error does
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -133,7 +133,8 @@ def read_state(game: Pong, stack: jax.Array, params: PongParams, key: Key) -> Po
     towards = jnp.where(lost, OWN_SIDE, OPPONENT_SIDE)
     empty = first_state(params)
     waits = jax.random.randint(keys[3], (), 1, jnp.maximum(params.serve_delay, 1) + 1)
-    return empty.replace(
+    return replace(
+        empty,
         ball=jnp.where(in_play, place, empty.ball),
         ball_velocity=jnp.where(in_play, velocity, jnp.stack([0, towards])).astype(jnp.int32),
         own=own_row,

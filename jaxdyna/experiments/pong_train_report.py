@@ -53,14 +53,17 @@ class PongReport:
             return rollout(env, act, key, arm.hparams.env, episodes, num_steps=steps)
 
         def judge(pair):
-            return play(*pair, GREEDY_EPISODES).reward.sum(-1)
+            return play(pair[0], pair[1], GREEDY_EPISODES).reward.sum(-1)
+
+        def filmed(state, key):
+            return play(state, key, 1).next_obs[..., -3:]
 
         key, key_cost, key_film = jax.random.split(key, 3)
         keys = jax.random.split(key, len(jax.tree.leaves(policies)[0]))
         returns = jax.jit(lambda *args: jax.lax.map(judge, args))(policies, keys)
         first = jax.tree.map(lambda leaf: leaf[0], run.state)
         alone = replace(first.agent, real=None, fake=None)
-        film = jax.jit(lambda *args: play(*args, 1).next_obs[..., -3:])(alone, key_film)
+        film = jax.jit(filmed)(alone, key_film)
         updates = (self.options.agent.updates, self.options.agent.fake_updates)
         kept = {"greedy_return": np.asarray(returns), "film_greedy": np.asarray(film)}
         return kept | cost_of_parts(arm, updates, first, key_cost)
