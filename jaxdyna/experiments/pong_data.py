@@ -101,14 +101,15 @@ def play(
         player = draw_player(key_player, mixed)
         _, first = game.reset(key_reset, params)
 
-        def step(state: PongState, key: Key) -> tuple[PongState, Any]:
-            key_act, key_step = jax.random.split(key)
+        def step(carry: tuple[PongState, Key], _: None) -> tuple[tuple[PongState, Key], Any]:
+            state, key = carry
+            key, key_act, key_step = jax.random.split(key, 3)
             ball, own = state.ball[0] + BALL[0] / 2, state.own + PADDLE[0] / 2
             action = choose(player, ball, own, state.wait == 0, key_act)
             _, new, reward, *_ = game.step(key_step, state, action, params)
-            return new, (new, action, reward)
+            return (new, key), (new, action, reward)
 
-        _, (states, action, reward) = jax.lax.scan(step, first, jax.random.split(key_steps, steps))
+        _, (states, action, reward) = jax.lax.scan(step, (first, key_steps), length=steps)
         world = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, states)
         return Played(world, action, reward)
 

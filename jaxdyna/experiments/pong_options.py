@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
-
-import optax
 
 from jaxdyna.envs import CHANNELS, Pong, PongParams
 from jaxdyna.experiments import cli
@@ -205,7 +202,7 @@ def config_of(options: Options, arm: str) -> PixelConfig:
     if arm == "bce":
         return PixelConfig(network, bce, 0.2, None, optimizer=optimizer)
     if arm == "adversarial":
-        optimizer = partial(optax.adamw, b1=0.5, weight_decay=options.paper.weight_decay)
+        optimizer = decayed_adam(options.paper.weight_decay, b1=0.5)
     loss = l1 if arm == "l1" else l2
     return PixelConfig(network, loss, 0.5, None, optimizer=optimizer, shades=True)
 

@@ -115,9 +115,9 @@ class PongReport:
             f"`{results['command']}`",
             f"{options.seeds} runs of each arm. An episode is {options.steps} steps of "
             f"{options.frame_skip} frames of the pure game, its return the points won less those "
-            f"lost. {str(options.rule).capitalize()}: as many points as the opponent. The rule is "
-            "the same for all arms and counts every real episode. An unsolved run is never "
-            "dropped: it leaves the mean undefined, of which only a lower bound (≥) is then known.",
+            f"lost, so that 0 is as many points as the opponent. {str(options.rule).capitalize()}. "
+            "The rule is the same for all arms and counts every real episode. An unsolved run is "
+            "never dropped: it leaves the mean undefined, and only a lower bound (≥) is known.",
             markdown_table(*report.arm_table(results, {}, WINDOW)),
             *report.comparison(results, {}),
             "![point difference against real episodes](returns.png)",
