@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxdyna.experiments import cli, frame_session, maze_report, maze_scores
-from jaxdyna.experiments.frame_session import FrameExperiment
+from jaxdyna.experiments.frame_study import FrameExperiment
 from jaxdyna.experiments.maze_model import make_study
 from jaxdyna.experiments.maze_options import PRESETS, QUICK, training_of
 

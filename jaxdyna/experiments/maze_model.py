@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from jaxdyna import frame_replay
 from jaxdyna.envs.maze import MOVES
-from jaxdyna.experiments.frame_session import Run, Study
+from jaxdyna.experiments.frame_study import Run, Study
 from jaxdyna.experiments.maze_judge import Judgement, judge, make_model, predictor
 from jaxdyna.experiments.maze_options import Options, Training, config_of, training_of, world
 from jaxdyna.frame_replay import FrameReplay

@@ -37,13 +37,14 @@ def collect_all(options: Options) -> tuple[Played, Played]:
     learned, held_out = [], []
     for number in range(options.seeds):
         key = jax.random.fold_in(jax.random.key(options.seed), number)
-        keys = jax.random.split(key, len(POLICIES) + 1)
+        key_random, key_mixed, key_new = jax.random.split(key, 3)
+        by_policy = {"random": key_random, "mixed": key_mixed}
         parts = [
-            collect(options, options.episodes, policy == "mixed", key)
-            for policy, key in zip(POLICIES, keys[:-1], strict=True)
+            collect(options, options.episodes, policy == "mixed", by_policy[policy])
+            for policy in POLICIES
         ]
         learned.append(jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts))
-        held_out.append(collect(options, options.held_out, True, keys[-1]))
+        held_out.append(collect(options, options.held_out, True, key_new))
 
     def by_seed(episodes: list[Played]) -> Played:
         return jax.tree.map(lambda *leaves: np.stack(leaves)[None], *episodes)

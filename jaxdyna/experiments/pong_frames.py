@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxdyna.experiments import cli, frame_session, pong_report, pong_scores
-from jaxdyna.experiments.frame_session import FrameExperiment
+from jaxdyna.experiments.frame_study import FrameExperiment
 from jaxdyna.experiments.pong_model import make_study
 from jaxdyna.experiments.pong_options import POLICIES, PRESETS, QUICK, training_of
 

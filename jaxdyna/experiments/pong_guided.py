@@ -112,7 +112,9 @@ def read_state(game: Pong, stack: jax.Array, params: PongParams, key: Key) -> Po
     Returns:
         The state at step 0, its points 0.
     """
-    keys = jax.random.split(key, 7)
+    key_row, key_column, key_own, key_wait, key_opponent, key_clock, key_lost = jax.random.split(
+        key, 7
+    )
     frames = stack.reshape(*stack.shape[:2], NUM_FRAMES, 3) > 127
     opponent, own, ball = (frames[..., channel] for channel in range(3))
     scale, skip = game.scale, game.frame_skip
@@ -120,28 +122,28 @@ def read_state(game: Pong, stack: jax.Array, params: PongParams, key: Key) -> Po
     seen = ball.any((0, 1))
     place = jnp.stack(
         [
-            _first_pixel(ball[..., -1].any(1 - axis), BALL[axis], scale, keys[axis])
-            for axis in (0, 1)
+            _first_pixel(ball[..., -1].any(1 - axis), BALL[axis], scale, key_ball)
+            for axis, key_ball in enumerate((key_row, key_column))
         ]
     )
     velocity = _velocity(middle, seen, place, skip)
-    own_row = _first_pixel(own[..., -1].any(1), PADDLE[0], scale, keys[2])
+    own_row = _first_pixel(own[..., -1].any(1), PADDLE[0], scale, key_own)
     own_row = own_row + own_row % 2 * jnp.where(own_row % scale == scale - 1, -1, 1)  # shown evenly
     moved = scale * jnp.diff(_middles(own, 0)[-2:])[0]
     in_play, last = seen[-1], middle[NUM_FRAMES - 1 - jnp.argmax(seen[::-1]), 1]
-    lost = jnp.where(seen.any(), last > FIELD / 2, jax.random.bernoulli(keys[6]))
+    lost = jnp.where(seen.any(), last > FIELD / 2, jax.random.bernoulli(key_lost))
     towards = jnp.where(lost, OWN_SIDE, OPPONENT_SIDE)
     empty = first_state(params)
-    waits = jax.random.randint(keys[3], (), 1, jnp.maximum(params.serve_delay, 1) + 1)
+    waits = jax.random.randint(key_wait, (), 1, jnp.maximum(params.serve_delay, 1) + 1)
     return replace(
         empty,
         ball=jnp.where(in_play, place, empty.ball),
         ball_velocity=jnp.where(in_play, velocity, jnp.stack([0, towards])).astype(jnp.int32),
         own=own_row,
         own_target=(own_row + _on_its_way(moved, params.paddle_speed)).astype(jnp.float32),
-        opponent=_first_pixel(opponent[..., -1].any(1), PADDLE[0], scale, keys[4]),
+        opponent=_first_pixel(opponent[..., -1].any(1), PADDLE[0], scale, key_opponent),
         wait=jnp.where(in_play, 0, waits).astype(jnp.int32),
-        clock=skip * jax.random.randint(keys[5], (), 0, jnp.maximum(params.opponent_rest, 1)),
+        clock=skip * jax.random.randint(key_clock, (), 0, jnp.maximum(params.opponent_rest, 1)),
     )
 
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxdyna.experiments import pong_ale
-from jaxdyna.experiments.frame_session import Run, Study
+from jaxdyna.experiments.frame_study import Run, Study
 from jaxdyna.experiments.pong_data import Played, View, play, sample, view_of
 from jaxdyna.experiments.pong_judge import Asked, Judgement, judge
 from jaxdyna.experiments.pong_options import (
@@ -42,13 +42,15 @@ def make_study(options: Options, arm: str) -> Study:
 
     def collect(key: Key) -> tuple[Played, Played]:
         game, params, steps = game_of(options), params_of(options), options.steps
-        keys = jax.random.split(key, len(POLICIES) + 1)
-        parts = [
-            play(game, params, steps, options.episodes, policy == "mixed", key)
-            for policy, key in zip(POLICIES, keys[:-1], strict=True)
-        ]
+        key_random, key_mixed, key_new = jax.random.split(key, 3)
+
+        def episodes(count: int, policy: str, key: Key) -> Played:
+            return play(game, params, steps, count, policy == "mixed", key)
+
+        by_policy = {"random": key_random, "mixed": key_mixed}
+        parts = [episodes(options.episodes, policy, by_policy[policy]) for policy in POLICIES]
         joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-        return joined, play(game, params, steps, options.held_out, True, keys[-1])
+        return joined, episodes(options.held_out, "mixed", key_new)
 
     def init(key: Key, _: Any) -> Run:
         key, key_init, key_data = jax.random.split(key, 3)
