@@ -10,7 +10,7 @@ import pytest
 from jaxdyna import frame_replay
 from jaxdyna.envs import CHANNELS, FrameStack, Palette
 from jaxdyna.envs.pong_screen import empty_screen, paint, screen_masks
-from jaxdyna.experiments import pong, pong_ale
+from jaxdyna.experiments import pong, pong_ale, pong_train_report
 from jaxdyna.experiments.pong_data import Player, choose, middle_row, play, take, view_of
 from jaxdyna.experiments.pong_guided import GuidedDream, GuidedParams, read_state
 from jaxdyna.experiments.pong_judge import OBJECTS, counts, precision, recall
@@ -196,14 +196,16 @@ TINY_TRAIN = [
     "--quick", "--seeds", "1", "--episodes", "21", "--steps", "12", "--real-first", "20",
     "--model-updates", "1", "--model-batch", "2", "--dream-episodes", "2", "--dream-steps", "2",
     "--hidden", "4", "--agent.updates", "1", "--agent.fake-updates", "1", "--agent.batch", "2",
-    "--agent.fake-capacity", "16", "--arms", "model_free", "true_own",
+    "--agent.fake-capacity", "16", "--arms", "true_own",
 ]  # fmt: skip
 
 
-def test_learning_leaves_what_the_contract_asks_for(tmp_path):
+def test_learning_leaves_what_the_contract_asks_for(tmp_path, monkeypatch):
+    free = {"cost_seconds": np.ones(4), "cost_operations": np.ones(4), "cost_rate": np.ones(())}
+    monkeypatch.setattr(pong_train_report, "cost_of_parts", lambda *_: free)
     assert pong.main([*TINY_TRAIN, "--out", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "results.json").read_text())
-    assert results["experiment"] == "pong" and set(results["arms"]) == {"model_free", "true_own"}
+    assert results["experiment"] == "pong" and set(results["arms"]) == {"true_own"}
     for arm in results["arms"].values():
         for name in ("episodes_to_solve", "first_solved", "real_steps_to_solve", "final_return"):
             assert len(arm[name]["per_seed"]) == 1
