@@ -97,8 +97,8 @@ def _data_said(options: Options) -> str:
     game = {
         "jax": f"The pure game, a ball served {options.serve_delay} of its frames after a point; "
         "where objects are is exact.",
-        "ale": "The Atari 2600 game (`PongNoFrameskip-v4`), its screen reduced to the field and "
-        "each object, told by its colour, to a channel of its own.",
+        "ale": "The Atari 2600 game (`ALE/Pong-v5`, no action repeated at random), its screen "
+        "reduced to the field and each object, told by its colour, to a channel of its own.",
     }[options.game]
     return (
         f"{options.seeds} runs. {game} Frames of {height}x{width}, {options.frame_skip} of the "

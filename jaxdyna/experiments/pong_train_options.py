@@ -37,7 +37,7 @@ class Options:
     """paper: the paper's models beside ours; lean: model_free and ours, and dreams sooner."""
     quick: bool = False
     """A look at everything in minutes: two runs, few episodes."""
-    seeds: int = 5
+    seeds: int = 6
     """Runs of every arm, all in one jitted program."""
     seed: int = 0
     """Base seed of all runs."""
