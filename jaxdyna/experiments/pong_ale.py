@@ -68,8 +68,7 @@ def collect(options: Options, episodes: int, mixed: bool, key: Key) -> Played:
         key, key_batch = jax.random.split(key)
         parts.append(_play(envs, options, mixed, batch, key_batch))
     envs.close()
-    joined = [np.concatenate(leaves)[:episodes] for leaves in zip(*parts, strict=True)]
-    return Played(*joined)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:episodes], *parts)
 
 
 def _play(envs: Any, options: Options, mixed: bool, seed: int, key: Key) -> Played:
@@ -90,7 +89,7 @@ def _play(envs: Any, options: Options, mixed: bool, seed: int, key: Key) -> Play
                 f"--steps is {options.steps}: a game of 21 points ended within it, give fewer"
             )
     frames.append(np.asarray(reduced(screen, options.scale)))
-    in_time = (np.stack(leaves, axis=1) for leaves in (frames, actions, rewards))
+    in_time: Any = (np.stack(leaves, axis=1) for leaves in (frames, actions, rewards))
     return Played(*in_time)
 
 

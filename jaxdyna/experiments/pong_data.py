@@ -101,7 +101,8 @@ def play(
         player = draw_player(key_player, mixed)
         _, first = game.reset(key_reset, params)
 
-        def step(carry: tuple[PongState, Key], _: None) -> tuple[tuple[PongState, Key], Any]:
+        def step(carry: tuple[PongState, Key], nothing: None) -> Any:
+            del nothing
             state, key = carry
             key, key_act, key_step = jax.random.split(key, 3)
             ball, own = state.ball[0] + BALL[0] / 2, state.own + PADDLE[0] / 2
@@ -109,7 +110,7 @@ def play(
             _, new, reward, *_ = game.step(key_step, state, action, params)
             return (new, key), (new, action, reward)
 
-        _, (states, action, reward) = jax.lax.scan(step, (first, key_steps), length=steps)
+        states, action, reward = jax.lax.scan(step, (first, key_steps), length=steps)[1]
         world = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, states)
         return Played(world, action, reward)
 
