@@ -12,6 +12,7 @@ from parts import assert_same
 
 from jaxdyna import frame_replay
 from jaxdyna.experiments import (
+    frame_session,
     maze,
     maze_bench,
     maze_frames,
@@ -65,18 +66,18 @@ def test_it_leaves_a_table_and_figures(finished):
 
 def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch):
     """Interrupted within a stage and between arms, then resumed: the same, bit for bit."""
-    monkeypatch.setattr(maze_frames, "PIECE_UPDATES", 2)
+    monkeypatch.setattr(frame_session, "PIECE_UPDATES", 2)
     part, arms = tmp_path / "part", ["--arms", "paper", "lean"]
-    real, made = maze_frames.make_study, []
+    real, made = maze_frames.EXPERIMENT, []
 
     def interrupting(options, arm):
         made.append(arm)
         if len(made) == 2:
             raise KeyboardInterrupt
-        return real(options, arm)
+        return real.make_study(options, arm)
 
     with monkeypatch.context() as patch:
-        patch.setattr(maze_frames, "deferred_interrupt", lambda: contextlib.nullcontext([2]))
+        patch.setattr(frame_session, "deferred_interrupt", lambda: contextlib.nullcontext([2]))
         assert play(part, *arms) == 130
         assert read_curves(part / "curves.npz") == {}
     record = json.loads((part / "results.json").read_text())
@@ -84,7 +85,7 @@ def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch
     (part / "results.json").write_text(
         json.dumps(record | {"timing": record["timing"] | {"arms": {}}})
     )
-    monkeypatch.setattr(maze_frames, "make_study", interrupting)
+    monkeypatch.setattr(maze_frames, "EXPERIMENT", real._replace(make_study=interrupting))
     made.append("paper")
     with pytest.raises(SystemExit) as stop:
         play(part, *arms, "--resume", "--steps", "31")

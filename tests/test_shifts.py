@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.networks import ShiftDynamics
-from jaxdyna.networks.shifts import places, shift_matrix
+from jaxdyna.networks.shifts import places, shift_matrix, whereabouts
 
 
 def test_a_shift_moves_a_line_and_repeats_its_edge():
@@ -25,7 +25,8 @@ def test_places_by_hand():
     stack = np.zeros((1, 6, 8, 4), np.float32)
     stack[0, 2, 3, 0] = stack[0, 3, 5, 2] = 1
     stack[0, 4:6, 1, 3] = 1
-    features = np.asarray(jax.jit(places, static_argnums=1)(jnp.array(stack), 2)[0])
+    where = whereabouts(jnp.array(stack), 2)
+    features = np.asarray(places(where)[0])
     place, seen, moved, apart, near, mass = np.split(features, np.cumsum([8, 4, 4, 2, 2]))
     np.testing.assert_allclose(
         place,

@@ -4,191 +4,33 @@ policy's episodes, the paper's F1 table beside ours.
 
 from __future__ import annotations
 
-import shlex
-import shutil
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import jax
-import numpy as np
-from rich.console import Console
-
-from jaxdyna.experiments import cli, maze_report
-from jaxdyna.experiments.checkpoint import Checkpoints
-from jaxdyna.experiments.maze_model import Run, make_study
+from jaxdyna.experiments import cli, frame_session, maze_report, maze_scores
+from jaxdyna.experiments.frame_study import FrameExperiment
+from jaxdyna.experiments.maze_model import make_study
 from jaxdyna.experiments.maze_options import PRESETS, QUICK, training_of
-from jaxdyna.experiments.maze_record import Record, Timing
-from jaxdyna.experiments.progress import Bars
-from jaxdyna.experiments.run import deferred_interrupt
-from jaxdyna.experiments.storage import (
-    set_aside,
-    write_text,
-)
-from jaxdyna.sweep import make_pieces
 
 PROG = "python -m jaxdyna.experiments.maze"
-OF_THE_FIRST_SEED = ("seen", "truth", "belief", "film_truth", "film_dream")
-
-PIECE_UPDATES = 250
-CHECKPOINT_SECONDS = 60.0
-NOTHING_SWEPT = np.float32(0)
+EXPERIMENT = FrameExperiment(
+    name="maze_model",
+    prog=PROG,
+    out=Path("runs") / "maze-model",
+    make_study=make_study,
+    updates_at=lambda options, arm, stage: training_of(options, arm).updates_at(stage),
+    number=int,
+    note=lambda stage: f"{stage} episodes",
+    describe=maze_scores.describe,
+    figures=maze_report.figures,
+    markdown=maze_report.markdown,
+    summary=maze_report.summary,
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the experiment from the command line; returns the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     options = cli.parse(QUICK if "--quick" in arguments else PRESETS, arguments, PROG)
-    out = options.out or Path("runs") / "maze-model"
-    typed = [argument for argument in arguments if argument != "--resume"]
-    record = Record(options, out, f"{PROG} {shlex.join(typed)}".strip())
-    try:
-        if options.resume:
-            record.resume()
-        cli.check_writable(out)
-    except ValueError as error:
-        cli.fail(str(error), PROG)
-    if not options.resume:
-        set_aside(out)
-    console = Console(highlight=False)
-    code = 0
-    try:
-        record.write()
-        _play(record, console)
-        shutil.rmtree(out / "checkpoints", ignore_errors=True)
-    except jax.errors.JaxRuntimeError as error:
-        if "RESOURCE_EXHAUSTED" not in str(error):
-            raise
-        cli.fail("out of memory: lower --seeds or --episodes", PROG)
-    except KeyboardInterrupt:
-        code = 130
-        console.print(
-            f"Interrupted. What is finished is in {out}; the same command with --resume goes on."
-        )
-    if record.curves:
-        maze_report.figures(out, record.curves, options)
-        results = record.write()
-        write_text(out / "report.md", maze_report.markdown(results, options, record.curves, out))
-        maze_report.summary(console, results)
-        console.print(f"Report: {out / 'report.md'}")
-    return code
-
-
-def _play(record: Record, console: Console) -> None:
-    """Trains and judges whatever is not in the record yet."""
-    options, curves = record.options, record.curves
-    stages = {arm: options.stages_of(arm) for arm in dict.fromkeys(options.arms)}
-    left = [arm for arm in stages if not all(f"{arm}@{stage}" in curves for stage in stages[arm])]
-    totals: dict[str, int] = {
-        arm: sum(map(training_of(options, arm).updates_at, played))
-        for arm, played in stages.items()
-    }
-    done = [arm for arm in stages if arm not in left]
-    with (
-        Bars(console, totals, finished=done, runs=options.seeds) as bars,
-        deferred_interrupt() as interrupted,
-    ):
-        for arm in left:
-            trainee = Trainee(record, arm, bars, interrupted)
-            for stage in stages[arm]:
-                trainee.play(stage)
-            shutil.rmtree(trainee.checkpoints.directory, ignore_errors=True)
-
-
-class Trainee:
-    """All runs of an arm, at one stage after the other.
-
-    Args:
-        record: where judgements go.
-        arm: its name.
-        bars: shows how far it is.
-        interrupted: not empty after Ctrl-C.
-    """
-
-    def __init__(self, record: Record, arm: str, bars: Bars, interrupted: list[int]):
-        self.record, self.arm, self.bars, self.interrupted = record, arm, bars, interrupted
-        self.updates_at = training_of(record.options, arm).updates_at
-        self.checkpoints = Checkpoints(record.out / "checkpoints" / arm)
-        nothing: Timing = {"compile_s": 0.0, "run_s": 0.0, "judge_s": 0.0, "stages": {}}
-        self.spent = record.timing.setdefault(arm, nothing)
-        options = record.options
-        study, block = make_study(options, arm), 1 if jax.default_backend() == "cpu" else None
-        self._start, self._train = make_pieces(study.init, study.train, block)
-        self._judge = make_pieces(study.init, study.judge, block)[1]
-        self.keys = jax.random.split(jax.random.key(options.seed), options.seeds)
-        self.saved = time.perf_counter()
-
-    def play(self, stage: int) -> None:
-        """Trains from scratch on so many episodes and judges, unless that is done.
-
-        Raises:
-            KeyboardInterrupt: after Ctrl-C, once the piece in progress is done and saved.
-        """
-        name = f"{self.arm}@{stage}"
-        if name in self.record.curves:
-            return
-        before, whole = self._before(stage), self.updates_at(stage)
-        self.bars.advance(self.arm, before, f"{stage} episodes, compiling")
-        run, done = self._begin(stage)
-        while done < whole:
-            self.bars.advance(self.arm, before + done, f"{stage} episodes")
-            began, updates = time.perf_counter(), min(PIECE_UPDATES, whole - done)
-            run, losses = self._train(run, (stage, updates, whole), NOTHING_SWEPT)
-            jax.block_until_ready(losses)
-            done += updates
-            seconds, taken = self.spent["stages"], self._count("run_s", began)
-            seconds[str(stage)] = seconds.get(str(stage), 0.0) + taken
-            self._save(run, stage, done)
-        began = time.perf_counter()
-        self.bars.advance(self.arm, before + done, f"{stage} episodes, judging")
-        _, judged = self._judge(run, stage, NOTHING_SWEPT)
-        kept = jax.tree.map(lambda leaf: np.asarray(leaf[0]), judged)
-        kept |= {part: kept[part][0] for part in OF_THE_FIRST_SEED}
-        self._count("judge_s", began)
-        self.record.curves[name] = kept
-        self.record.write()
-        self.bars.advance(self.arm, before + done, "")
-
-    def _before(self, stage: int) -> int:
-        """Updates in the stages before this one."""
-        played = self.record.options.stages_of(self.arm)
-        return sum(map(self.updates_at, played[: played.index(stage)]))
-
-    def _begin(self, stage: int) -> tuple[Run, int]:
-        """The runs before this stage or at its checkpoint, and updates done; all is compiled."""
-        began = time.perf_counter()
-        run, done = self._start(jax.random.clone(self.keys), NOTHING_SWEPT), 0
-        if self.record.options.resume and self.checkpoints.exists():
-            kept, [counts], run_s = self.checkpoints.load(run._replace(data=None))
-            if counts["stage"] == stage:
-                run, done = kept._replace(data=run.data), int(counts["done"])
-                self.spent["run_s"] = run_s
-                self.spent["stages"][str(stage)] = float(counts["seconds"])
-        run, _ = self._train(run, (stage, 0, 1), NOTHING_SWEPT)
-        jax.block_until_ready(run.done)
-        self._count("compile_s", began)
-        return run, done
-
-    def _save(self, run: Run, stage: int, done: int) -> None:
-        """Writes a checkpoint where one is due; data is not in it."""
-        if not (self.interrupted or time.perf_counter() - self.saved > CHECKPOINT_SECONDS):
-            return
-        seconds = self.spent["stages"][str(stage)]
-        counts = {"stage": stage, "done": done, "seconds": seconds}
-        self.checkpoints.save(
-            self._before(stage) + done,
-            run._replace(data=None),
-            {name: np.array(count) for name, count in counts.items()},
-            self.spent["run_s"],
-        )
-        self.saved = time.perf_counter()
-        if self.interrupted:
-            self.record.write()
-            raise KeyboardInterrupt
-
-    def _count(self, part: str, began: float) -> float:
-        """Adds the seconds since ``began`` to a part of the arm's time; returns them."""
-        seconds = time.perf_counter() - began
-        self.spent[part] += seconds
-        return seconds
+    return frame_session.run(EXPERIMENT, options, arguments)

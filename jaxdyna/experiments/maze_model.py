@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from jaxdyna import frame_replay
 from jaxdyna.envs.maze import MOVES
+from jaxdyna.experiments.frame_study import Run, Study
 from jaxdyna.experiments.maze_judge import Judgement, judge, make_model, predictor
 from jaxdyna.experiments.maze_options import Options, Training, config_of, training_of, world
 from jaxdyna.frame_replay import FrameReplay
@@ -18,22 +18,6 @@ from jaxdyna.models import PixelHParams
 from jaxdyna.replay import share_weight
 from jaxdyna.rollout import rollout
 from jaxdyna.types import DynamicsModel, Key, Transition
-
-
-class Run(NamedTuple):
-    """A run between two pieces of its training.
-
-    Attributes:
-        data: all its episodes, which a key gives again; None in a checkpoint.
-        key: random key.
-        state: the model's.
-        done: int32, updates so far.
-    """
-
-    data: Any
-    key: Key
-    state: Any
-    done: jax.Array
 
 
 def random_act(obs: jax.Array, key: Key) -> jax.Array:
@@ -67,24 +51,10 @@ def first_episodes(held: FrameReplay, episodes: Any, steps: int) -> FrameReplay:
     return replace(held, added=count * steps, episodes_added=count)
 
 
-class Study(NamedTuple):
-    """An arm's training at a stage, for `jaxdyna.sweep.make_pieces`. The stage, a number of
-    episodes, and numbers of updates are traced: all stages are one program.
-
-    Attributes:
-        init: ``(key, hparams) -> run``: before its first update.
-        train: ``(run, (stage, updates, total), hparams) -> (run, losses)``: so many more of the
-            stage's ``total`` of updates, on the first ``stage`` episodes.
-        judge: ``(run, stage, hparams) -> (run, judgement)``.
-    """
-
-    init: Callable[[Key, Any], Run]
-    train: Callable[[Run, Any, Any], tuple[Run, Judgement]]
-    judge: Callable[[Run, Any, Any], tuple[Run, Judgement]]
-
-
 def make_study(options: Options, arm: str) -> Study:
-    """A key gives every arm and stage the same episodes, and the same ones held out."""
+    """Training on the first so many episodes, the stage. A key gives every arm and stage the same
+    episodes, and the same ones held out.
+    """
     config, training = config_of(options, arm), training_of(options, arm)
     env, params = world(options)
     model = make_model(options, config)

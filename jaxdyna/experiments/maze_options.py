@@ -218,6 +218,6 @@ def config_of(options: Options, arm: str) -> PixelConfig:
 
 
 @cache
-def decayed_adam(weight_decay: float) -> Any:
+def decayed_adam(weight_decay: float, b1: float = 0.9) -> Any:
     """AdamW: one object, and so one program, for the same settings."""
-    return partial(optax.adamw, weight_decay=weight_decay)
+    return partial(optax.adamw, b1=b1, weight_decay=weight_decay)

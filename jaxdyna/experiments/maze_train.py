@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxdyna import frame_replay, memory
 from jaxdyna.agents import DQNConfig, dqn
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, Metrics
 from jaxdyna.envs import FrameStack, Maze, MazeParams
 from jaxdyna.envs.stack import StackState
 from jaxdyna.experiments import cli
+from jaxdyna.experiments.frame_dyna import frame_dyna
 from jaxdyna.experiments.maze_oracle import ReplayedMaze, ReplayedParams
 from jaxdyna.experiments.maze_planners import planner_arms
 from jaxdyna.experiments.maze_train_options import (
@@ -32,18 +32,9 @@ from jaxdyna.experiments.maze_train_options import (
 from jaxdyna.experiments.maze_train_report import MazeReport
 from jaxdyna.experiments.run import Arm
 from jaxdyna.experiments.session import Session
-from jaxdyna.frame_replay import FrameReplay
-from jaxdyna.models import (
-    LearnedEnvironment,
-    LearnedParams,
-    PixelConfig,
-    doubtful,
-    pixels,
-    probability_rule,
-)
-from jaxdyna.models.evaluation import frame_errors
+from jaxdyna.models import PixelConfig, pixels
 from jaxdyna.planners import solve_maze
-from jaxdyna.types import Key, Transition
+from jaxdyna.types import Transition
 
 PROG = "python -m jaxdyna.experiments.maze"
 
@@ -64,28 +55,11 @@ def make_dyna(parts: Parts) -> Dyna:
     shape = (parts.maze.size, parts.maze.size, 3)
     agent = dqn(shape, env.num_actions, parts.agent)
     model = pixels(shape, env.num_actions, parts.model)
-    learned = LearnedEnvironment(env, model.predict, draw_stack, probability_rule, doubtful)
-
-    def learned_params(state: DynaState, hparams: DynaHParams) -> LearnedParams:
-        return LearnedParams(
-            model=state.model.params,
-            start=state.replay,
-            termination_threshold=hparams.termination_threshold,
-            disagreement_threshold=hparams.disagreement_threshold,
-            max_steps=hparams.env.max_steps,
-        )
 
     def watch(real: Transition, begun: StackState, params: MazeParams) -> Metrics:
         return behaviour(parts.maze, parts.steps, real, begun, params)
 
-    kept = memory.frames(lambda rest: jnp.stack([rest["reward"] < 0, rest["reward"] > 0]))
-    dream, errors = Dream(learned, learned_params), frame_errors(model.predict)
-    return Dyna(env, agent, model, dream, errors, watch, kept)
-
-
-def draw_stack(key: Key, held: FrameReplay) -> jax.Array:
-    """Any real observation: four frames of a replayed episode."""
-    return frame_replay.sample(held, key, ()).obs
+    return frame_dyna(env, agent, model, watch)
 
 
 def behaviour(

@@ -16,10 +16,10 @@ from jaxdyna.agents import CloningState
 from jaxdyna.envs import Maze, MazeParams, MazeState
 from jaxdyna.experiments import maze_train_tables as tables
 from jaxdyna.experiments import plots, plots_frames, report
-from jaxdyna.experiments.maze_train_cost import cost_of_parts, describe_cost
 from jaxdyna.experiments.maze_train_options import SHARE_OF_ORACLE, WINDOW, Options
 from jaxdyna.experiments.report import Results, markdown_table
 from jaxdyna.experiments.run import Arm, ArmRun
+from jaxdyna.experiments.train_cost import cost_of_parts, describe_cost
 from jaxdyna.planners import solve_maze
 from jaxdyna.rollout import first_states, rollout
 from jaxdyna.statistics import bootstrap_interval, episodes_to_solve

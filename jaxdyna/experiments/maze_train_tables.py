@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from jaxdyna.experiments.maze_train_cost import PARTS
 from jaxdyna.experiments.maze_train_options import Options
 from jaxdyna.experiments.report import Results, interval, markdown_table
+from jaxdyna.experiments.train_cost import cost_table
 
 PAPER_N = 100
 CONTROLS = (
@@ -164,20 +164,15 @@ def time(results: Results) -> Table:
 
 def cost(results: Results) -> list[str]:
     """Where the time goes, and the most memory that was taken: paragraphs."""
-    rows, rate = [], 0.0
-    for name, arm in results["arms"].items():
-        seconds, floors = arm["cost"]["seconds"], arm["cost"]["floor_seconds"]
-        total, rate = sum(seconds.values()), arm["cost"]["matrix_product_gflops"]
-        for part in PARTS:
-            if seconds[part]:
-                row = [name, part, f"{1e3 * seconds[part]:.0f}", f"{seconds[part] / total:.0%}"]
-                rows.append([*row, f"{1e3 * floors[part]:.0f}"])
+    rate = max(
+        (arm["cost"]["matrix_product_gflops"] for arm in results["arms"].values()), default=0
+    )
     peak = results["device"]["peak_memory_gib"]
     paragraphs = [
         "What a real episode takes once there are dreams, one run alone on the machine; the floor "
         "is the floating-point operations over the rate of a large matrix product "
         f"({rate:.0f} GFLOP/s here).",
-        markdown_table(["arm", "part", "ms", "share", "floor (ms)"], rows),
+        markdown_table(*cost_table(results)),
     ]
     if peak is not None:
         paragraphs.append(

@@ -21,6 +21,11 @@ COLOURS = {
     "mpc": "#c77700",
     "mcts": "#2f6db5",
     "mpc_init": "#a8432e",
+    "dyna_l2": "#c0392b",
+    "dyna_adversarial": "#d08770",
+    "true_ball": "#2e7dbd",
+    "true_own": "#7f8c1f",
+    "true_opponent": "#888888",
 }
 BEGINS = dict.fromkeys(("mpc", "mcts", "mpc_init"), "planner begins")
 

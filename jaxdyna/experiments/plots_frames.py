@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 
 from jaxdyna.experiments.plots import COLOURS, mean_interval, save
 
-SCALE = 16
+SCALE, WIDEST = 16, 320
 CAPTION_WIDTH = 220
 PAUSE_MS = 160
 
@@ -76,13 +76,19 @@ def score_by_threshold(
     save(figure, path, top=0.9)
 
 
-def score_by_horizon(path: Path, scores: Mapping[str, np.ndarray], classes: Sequence[str]) -> None:
-    """F1 of dreamed frames against the number of dreamed steps, a panel a class.
+def score_by_horizon(
+    path: Path,
+    scores: Mapping[str, np.ndarray],
+    classes: Sequence[str],
+    what: str = "F1 on held-out episodes",
+) -> None:
+    """A score of dreamed frames against the number of dreamed steps, a panel a class.
 
     Args:
         path: the PNG.
         scores: by name ``[seeds, horizon, classes]``.
         classes: their names.
+        what: the score is.
     """
     figure, panels = plt.subplots(1, len(classes), figsize=(10.5, 3.4), sharey=True)
     for number, (panel, title) in enumerate(zip(panels, classes, strict=True)):
@@ -92,7 +98,7 @@ def score_by_horizon(path: Path, scores: Mapping[str, np.ndarray], classes: Sequ
         panel.set_title(title, loc="left", fontsize=10)
         panel.set_xlabel("dreamed steps")
         panel.set_ylim(-0.02, 1.02)
-    panels[0].set_ylabel("F1 on held-out episodes")
+    panels[0].set_ylabel(what)
     _legend_above(figure, panels[0])
     save(figure, path, top=0.9)
 
@@ -132,7 +138,8 @@ def film(path: Path, columns: Mapping[str, np.ndarray], first_step: int = 1) -> 
 
 
 def _captioned(frame: np.ndarray, caption: str) -> np.ndarray:
-    scale = max(SCALE, CAPTION_WIDTH // frame.shape[1])
+    width = frame.shape[1]
+    scale = max(min(SCALE, WIDEST // width), CAPTION_WIDTH // width, 1)
     big = frame.repeat(scale, axis=0).repeat(scale, axis=1)
     head = Image.new("RGB", (big.shape[1], 18), "white")
     ImageDraw.Draw(head).text((2, 3), caption, fill="black")

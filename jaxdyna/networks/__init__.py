@@ -6,6 +6,7 @@ from jaxdyna.networks.frames import (
     JointReward,
     LocalDynamics,
     LocalReward,
+    SignedReward,
 )
 from jaxdyna.networks.layers import MLP, Convolution
 from jaxdyna.networks.patches import Discriminator, Patched, from_patches, to_patches
@@ -25,6 +26,7 @@ __all__ = [
     "LocalReward",
     "Patched",
     "ShiftDynamics",
+    "SignedReward",
     "from_patches",
     "glimpses",
     "to_patches",

@@ -124,6 +124,21 @@ class JointReward(nn.Module):
         return reward, jnp.zeros_like(reward)
 
 
+class SignedReward(nn.Module):
+    """A reward of -1, 0 or 1 from the joint features, as in the authors' code a class: the
+    probability of 1 less that of -1. Where nothing happens that is close to 0, and a sum over many
+    steps stays so, as that of a linear head's errors would not.
+    """
+
+    @nn.compact
+    def __call__(self, features: jax.Array, next_frame: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """From features ``[N, ...]`` to rewards ``[N]``, at no charge."""
+        del next_frame
+        odds = nn.Dense(2)(features.reshape(features.shape[0], -1))
+        reward = jax.nn.sigmoid(odds[:, 0]) - jax.nn.sigmoid(odds[:, 1])
+        return reward, jnp.zeros_like(reward)
+
+
 class FrameModel(nn.Module):
     """A network that predicts the next picture, with heads for the reward and the end.
 

@@ -1,17 +1,17 @@
-"""The record of frame prediction in the Maze while it grows: arrays, JSON, resume."""
+"""The record of a frame prediction experiment while it grows: arrays, JSON, resume."""
 
 from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxdyna.experiments import maze_scores, report
-from jaxdyna.experiments.maze_options import Options
+from jaxdyna.experiments import report
 from jaxdyna.experiments.report import Results
 from jaxdyna.experiments.storage import plain, read_curves, write_curves, write_json
 
@@ -26,17 +26,21 @@ class Record:
     """What a run has come to so far, and its files.
 
     Attributes:
-        options: its settings.
+        experiment: its name.
+        options: a dataclass: its settings.
         out: the folder.
         command: as typed.
+        describe: ``(curves, options) -> arms``, the entries of ``results.json``.
         curves: judgements by ``ARM@STAGE``.
         timing: seconds by arm.
         earlier: what an earlier run left in ``results.json``.
     """
 
-    options: Options
+    experiment: str
+    options: Any
     out: Path
     command: str
+    describe: Callable[[Any, Any], Results]
     curves: Curves = field(default_factory=dict)
     timing: Timing = field(default_factory=dict)
     earlier: Results | None = None
@@ -49,13 +53,13 @@ class Record:
         total = {part: sum(arm[part] for arm in spent) for part in PARTS}
         total["total_s"] = time.perf_counter() - self.begun
         results = {
-            "experiment": "maze_model",
+            "experiment": self.experiment,
             "command": self.command,
             "preset": self.options.preset,
             "config": plain(self.options),
             **report.environment(self.earlier),
             "timing": total | {"arms": self.timing},
-            "arms": maze_scores.describe(self.curves, self.options),
+            "arms": self.describe(self.curves, self.options),
         }
         write_json(self.out / "results.json", results)
         return results
@@ -71,7 +75,9 @@ class Record:
             raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
         before = json.loads(path.read_text())
         now = json.loads(json.dumps(plain(self.options)))
-        newer = json.loads(json.dumps(plain(Options())))  # settings that did not exist then
+        newer = json.loads(
+            json.dumps(plain(type(self.options)()))
+        )  # settings that did not exist then
         earlier = newer | before["config"]
         changed = [
             name

@@ -113,6 +113,19 @@ def describe_cost(curves: Mapping[str, np.ndarray]) -> dict[str, Any]:
     }
 
 
+def cost_table(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """`describe_cost` of every arm as a table."""
+    rows = []
+    for name, arm in results["arms"].items():
+        seconds, floors = arm["cost"]["seconds"], arm["cost"]["floor_seconds"]
+        total = sum(seconds.values())
+        for part in PARTS:
+            if seconds[part]:
+                row = [name, part, f"{1e3 * seconds[part]:.0f}", f"{seconds[part] / total:.0%}"]
+                rows.append([*row, f"{1e3 * floors[part]:.0f}"])
+    return ["arm", "part", "ms", "share", "floor (ms)"], rows
+
+
 def matrix_rate() -> float:
     """Floating-point operations a second of this machine in a large matrix product."""
     square = jnp.ones((MATRIX, MATRIX))

@@ -1,0 +1,153 @@
+"""Judging a frame model of Pong, object by object, on episodes that it has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdyna.experiments.pong_data import Played, View, take
+from jaxdyna.models.evaluation import Predict, open_loop
+from jaxdyna.types import Key
+
+OBJECTS = {"ball": 2, "own paddle": 1, "opponent": 0}
+"""Their channels."""
+ORDER = np.array(list(OBJECTS.values()))
+
+Judgement = dict[str, jax.Array]
+
+
+class Asked(NamedTuple):
+    """Who predicts.
+
+    Attributes:
+        believe: ``(params, obs [N, ...], action [N]) -> [N, H, W, 3]``: how likely a pixel is lit.
+        predict: the model's.
+        threshold: above which a pixel counts as lit.
+    """
+
+    believe: Callable[..., jax.Array]
+    predict: Predict
+    threshold: float
+
+
+def judge(
+    asked: Asked, params: Any, view: View, new: Played, starts: list[int], horizon: int, key: Key
+) -> Judgement:
+    """Counts over new episodes ``[N, T]``, from which recall and precision follow.
+
+    Args:
+        asked: the model.
+        params: its parameters.
+        view: how the episodes are seen.
+        new: they.
+        starts: steps of each at which dreams begin.
+        horizon: how long these are.
+        key: random key.
+
+    Returns:
+        ``one_step`` ``[objects, 3]``: pixels rightly lit, lit, and of the object; ``mass``
+        ``[objects, 2]``: sums of the beliefs at its pixels and elsewhere in its channel; ``dream``
+        ``[horizon, objects, 3]`` as ``one_step``, and ``dream_unserved`` of those within which no
+        ball has been served yet; ``seen``, ``truth`` and ``belief`` of a step with
+        all objects in sight; ``film_truth`` and ``film_dream`` ``[horizon, H, W, 3]``.
+    """
+    episodes, steps = new.action.shape
+
+    def one_by_one(_: None, episode: jax.Array) -> tuple[None, Judgement]:
+        times = jnp.arange(steps)
+        transitions = take(view, new, jnp.full(steps, episode), times)
+        belief = asked.believe(params, transitions.obs, transitions.action)
+        truth = _objects(view, new, episode, times + 1)
+        masses = [(belief * truth).sum((0, 1, 2)), (belief * ~truth).sum((0, 1, 2))]
+        return None, {
+            "one_step": counts(belief > asked.threshold, truth, (0, 1, 2)),
+            "mass": jnp.stack(masses, axis=-1)[ORDER],
+        }
+
+    totals = jax.lax.scan(one_by_one, None, jnp.arange(episodes))[1]
+    judgement = jax.tree.map(lambda leaf: leaf.sum(0), totals)
+    return judgement | _shown(asked, params, view, new) | _dreams(
+        asked, params, view, new, starts, horizon, key
+    )  # fmt: skip
+
+
+def _dreams(
+    asked: Asked, params: Any, view: View, new: Played, starts: list[int], horizon: int, key: Key
+) -> Judgement:
+    """Open-loop dreams from each start, one start after the other."""
+    episodes = new.action.shape[0]
+
+    def from_start(key: Key, start: jax.Array) -> tuple[Key, tuple[jax.Array, ...]]:
+        key, key_dream = jax.random.split(key)
+        first = take(view, new, jnp.arange(episodes), jnp.full(episodes, start))
+        action = jax.lax.dynamic_slice_in_dim(new.action, start, horizon, axis=1)
+
+        def one(obs: jax.Array, action: jax.Array, key: Key) -> jax.Array:
+            return open_loop(asked.predict, params, obs, action, key).next_obs[..., -3:]
+
+        dreamed = jax.vmap(one)(first.obs, action, jax.random.split(key_dream, episodes))
+        times = start + jnp.arange(horizon + 1)
+        truth = jax.vmap(lambda episode: _objects(view, new, episode, times))(jnp.arange(episodes))
+        lit = dreamed > 255 * asked.threshold
+        counted = counts(lit, truth[:, 1:], (2, 3))
+        ball = truth[..., OBJECTS["ball"]].any((2, 3))
+        unserved = jnp.cumsum(ball[:, 1:] & ~ball[:, :-1], axis=1) == 0
+        return key, (
+            counted.sum(0),
+            (counted * unserved[..., None, None]).sum(0),
+            truth[0, 1:],
+            dreamed[0],
+        )
+
+    _, (counted, unserved, truth, dreamed) = jax.lax.scan(from_start, key, jnp.array(starts))
+    return {
+        "dream": counted.sum(0),
+        "dream_unserved": unserved.sum(0),
+        "film_truth": 255 * truth[0].astype(jnp.uint8),
+        "film_dream": dreamed[0],
+    }
+
+
+def _shown(asked: Asked, params: Any, view: View, new: Played) -> Judgement:
+    """The step of the last episode in which the own paddle moves most while all objects are in
+    sight.
+    """
+    steps = new.action.shape[1]
+    episode = jnp.int32(new.action.shape[0] - 1)
+    truth = _objects(view, new, episode, jnp.arange(1, steps + 1))
+    before = _objects(view, new, episode, jnp.arange(steps))
+    whole = (truth.sum((1, 2)) >= jnp.median(truth.sum((1, 2)), axis=0)).all(-1)
+    changed = (truth ^ before)[..., OBJECTS["own paddle"]].sum((1, 2))
+    time = jnp.argmax(jnp.where(whole & before.any((1, 2)).all(-1), changed, -1))
+    shown = take(view, new, episode[None], time[None])
+    return {
+        "seen": shown.obs[0],
+        "truth": 255 * truth[time].astype(jnp.uint8),
+        "belief": asked.believe(params, shown.obs, shown.action)[0],
+    }
+
+
+def _objects(view: View, played: Played, episode: jax.Array, times: jax.Array) -> jax.Array:
+    """Where things are, bool ``[T, H, W, 3]``."""
+    there = jax.tree.map(lambda leaf: leaf[episode, times], played.world)
+    return jax.vmap(view.objects)(there)
+
+
+def counts(lit: jax.Array, truth: jax.Array, axes: tuple[int, ...]) -> jax.Array:
+    """``[..., objects, 3]``: pixels rightly lit, lit, and to be lit, summed over ``axes``."""
+    three = [(lit & truth).sum(axes), lit.sum(axes), truth.sum(axes)]
+    return jnp.stack(three, axis=-1)[..., ORDER, :]
+
+
+def recall(counted: np.ndarray) -> np.ndarray:
+    """Of `counts` ``[..., 3]``: the share of an object's pixels that are lit."""
+    return counted[..., 0] / np.maximum(counted[..., 2], 1)
+
+
+def precision(counted: np.ndarray) -> np.ndarray:
+    """Of `counts` ``[..., 3]``: the share of lit pixels that are an object's; 0 of none."""
+    return counted[..., 0] / np.maximum(counted[..., 1], 1)

@@ -1,0 +1,147 @@
+"""Scores of frame models of Pong, and the tables made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxdyna.experiments.pong_judge import OBJECTS, precision, recall
+from jaxdyna.experiments.report import Results, interval
+from jaxdyna.statistics import bootstrap_interval
+
+HORIZONS = (1, 2, 5, 10, 20, 30)
+SAID = {
+    "l2": "L2",
+    "l1": "L1",
+    "bce": "cross-entropy",
+    "adversarial": "L2 and the adversarial loss (the paper's)",
+    "ours": "ours",
+}
+Curves = Mapping[str, Mapping[str, np.ndarray]]
+Table = tuple[list[str], list[list[str]]]
+
+
+def describe(curves: Curves, options: Any) -> Results:
+    """By model and policy, of each object: recall and precision one step ahead, how much is
+    believed of its pixels and spilled elsewhere for each of them, both by dreamed steps.
+    """
+    arms: Results = {}
+    steps = [step for step in HORIZONS if step <= options.horizon]
+    for name, judged in curves.items():
+        arm, _, policy = name.partition("@")
+        there = np.maximum(judged["one_step"][..., 2], 1)
+        dreams = {
+            part: {
+                which: {str(n): _summaries(score(judged[part][:, n - 1])) for n in steps}
+                for which, score in (("recall", recall), ("precision", precision))
+            }
+            for part in ("dream", "dream_unserved")
+        }
+        arms.setdefault(arm, {})[policy] = {
+            "recall": _summaries(recall(judged["one_step"])),
+            "precision": _summaries(precision(judged["one_step"])),
+            "believed": _summaries(judged["mass"][..., 0] / there),
+            "spilled": _summaries(judged["mass"][..., 1] / there),
+            **dreams,
+        }
+    return arms
+
+
+def _summaries(values: np.ndarray) -> Results:
+    """Mean, interval and every seed, by object, of ``[seeds, objects]``."""
+    return {
+        name: {
+            "mean": float(column.mean()),
+            "ci95": bootstrap_interval(column, lambda rows: rows.mean(-1)),
+            "per_seed": column.tolist(),
+        }
+        for name, column in zip(OBJECTS, values.T, strict=True)
+    }
+
+
+def one_step(results: Results) -> Table:
+    """Recall and precision one step ahead."""
+    header = ["model", "trained on", *_headers("recall", "precision")]
+    rows = [
+        [arm, policy, *_cells(judged, "recall", "precision")]
+        for arm, policy, judged in _each(results)
+    ]
+    return header, rows
+
+
+def blur(results: Results) -> Table:
+    """How sharp the beliefs are."""
+    header = ["model", "trained on", *_headers("believed", "spilled")]
+    rows = [
+        [arm, policy, *_cells(judged, "believed", "spilled")]
+        for arm, policy, judged in _each(results)
+    ]
+    return header, rows
+
+
+def dreams(results: Results, part: str = "dream") -> Table:
+    """Recall by dreamed steps; what was trained on the mixed policy's episodes where there is
+    such.
+    """
+    rows = []
+    for arm, policy, judged in _each(results):
+        if policy == "random" and "mixed" in results["arms"][arm]:
+            continue
+        for step, by_object in judged[part]["recall"].items():
+            sharp = judged[part]["precision"][step]
+            cells = [f"{by_object[name]['mean']:.3f}" for name in OBJECTS]
+            cells += [f"{sharp[name]['mean']:.3f}" for name in OBJECTS]
+            rows.append([arm, policy, step, *cells])
+    return ["model", "trained on", "step", *_headers("recall", "precision")], rows
+
+
+def times(results: Results) -> Table:
+    """Seconds by what they were spent on."""
+    rows = []
+    for arm, spent in results["timing"]["arms"].items():
+        parts = {f"training, {name} policy": took for name, took in spent["stages"].items()}
+        parts |= {"collecting, compiling": spent["compile_s"], "judging": spent["judge_s"]}
+        rows += [[arm, part, f"{seconds:.0f}"] for part, seconds in parts.items()]
+    return [f"model ({results['device']['cpu_cores']} cores)", "part", "seconds"], rows
+
+
+def random_said(results: Results) -> str:
+    """What training on random data alone does to the own paddle, in words."""
+    said = []
+    for arm, policies in results["arms"].items():
+        if set(policies) >= {"random", "mixed"}:
+            pairs = [
+                f"{policies[policy]['recall']['own paddle']['mean']:.3f}"
+                for policy in ("random", "mixed")
+            ]
+            spilled = [
+                f"{policies[policy]['spilled']['own paddle']['mean']:.2f}"
+                for policy in ("random", "mixed")
+            ]
+            said.append(f"`{arm}` {pairs[0]} against {pairs[1]} ({spilled[0]} and {spilled[1]})")
+    if not said:
+        return ""
+    return (
+        "Trained on the random policy alone against the mixed one, recall of the own paddle, and "
+        f"in brackets what is spilled around it: {'; '.join(said)}."
+    )
+
+
+def _headers(*parts: str) -> list[str]:
+    return [f"{part}, {name}" for part in parts for name in OBJECTS]
+
+
+def _cells(judged: Results, *parts: str) -> list[str]:
+    return [
+        f"{judged[part][name]['mean']:.3f} ({interval(judged[part][name]['ci95'], 3)})"
+        for part in parts
+        for name in OBJECTS
+    ]
+
+
+def _each(results: Results) -> Iterator[tuple[str, str, Results]]:
+    for arm, policies in results["arms"].items():
+        for policy, judged in policies.items():
+            yield arm, policy, judged

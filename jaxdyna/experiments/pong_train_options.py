@@ -1,0 +1,216 @@
+"""The settings of learning to play Pong: its command line and its presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from jaxdyna.agents import DQNConfig, DQNHParams
+from jaxdyna.dyna import DynaConfig, DynaHParams
+from jaxdyna.envs import PongParams
+from jaxdyna.experiments import cli
+from jaxdyna.experiments.maze_train_options import SHARES
+from jaxdyna.experiments.pong_options import DREAM_FROM, config_of, game_of, params_of
+from jaxdyna.experiments.pong_options import Options as Frames
+from jaxdyna.models import AdversarialHParams, PixelConfig
+from jaxdyna.networks import GlimpseQ, SignedReward
+from jaxdyna.statistics import SolveRule
+
+ArmName = Literal[
+    "model_free", "dyna", "dyna_l2", "dyna_adversarial", "placebo", "oracle", "true_ball",
+    "true_own", "true_opponent",
+]  # fmt: skip
+WINDOW = 20
+LEVEL = 0.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """DQN in Pong, with and without fake episodes from a learned model."""
+
+    part: Literal["train", "model"] = "train"
+    """train: learning to play; model: frame prediction alone (a command line of its own)."""
+    game: Literal["jax", "ale"] = "jax"
+    """jax: the pure game. The Atari 2600 game, ale, is there for --part model only."""
+    preset: Literal["paper", "lean"] = "paper"
+    """paper: the paper's models beside ours; lean: model_free and ours, and dreams sooner."""
+    quick: bool = False
+    """A look at everything in minutes: two runs, few episodes."""
+    seeds: int = 6
+    """Runs of every arm, all in one jitted program."""
+    seed: int = 0
+    """Base seed of all runs."""
+    episodes: int = 200
+    """Real episodes of a run at the most."""
+    arms: tuple[ArmName, ...] = ("model_free", "dyna_l2", "dyna_adversarial", "dyna")
+    """dyna: our model; dyna_l2, dyna_adversarial: the paper's; placebo: ours, never trained;
+    oracle: the true game from the same frames; true_ball, true_own, true_opponent: dyna_l2 with
+    one object of its dreams replaced by the truth."""
+    out: Path | None = None
+    """Folder for the results; runs/pong-PRESET by default."""
+    resume: bool = False
+    """Go on with the run in that folder, bit for bit."""
+    stop_after_solved: int | None = 20
+    """Episodes an arm plays on once all its seeds have solved; None plays all of them."""
+    steps: int = 200
+    """Steps of a real episode."""
+    scale: int = 4
+    """The game's pixels in a pixel of the frame, a side: 4 gives 40x40."""
+    frame_skip: int = 4
+    """The game's frames in a step."""
+    serve_delay: int = 4
+    """The game's frames from a point to the next serve (63 in the real game)."""
+    real_first: int = 20
+    """N of the paper: real episodes before the first dream."""
+    glimpse: int = 7
+    """Pixels a side of the agent's glimpses, odd."""
+    patch: int = 4
+    """Pixels a side of the patches that the paper's model works on."""
+    widths: tuple[int, ...] = (32, 32, 32)
+    """Channels of its convolutions."""
+    kernels: tuple[int, ...] = (4, 3, 3)
+    """Patches a side of their kernels."""
+    dense: int = 512
+    """Width of its dense layer."""
+    hidden: tuple[int, ...] = (256, 256)
+    """Widths of the perceptron of our model."""
+    reward_weight: float = 5.0
+    """Weight of the reward's squared error beside the frame's summed loss, in all models."""
+    model_updates: int = 100
+    """Gradient steps of the model after each real episode."""
+    model_batch: int = 32
+    """Transitions in each gradient step of the model."""
+    rare_share: float | None = 0.25
+    """At least this share of each model batch are points won and lost; None: as they come."""
+    dream_episodes: int = 200
+    """Fake episodes after each real one."""
+    dream_steps: int = 10
+    """The longest fake episode; each begins at a real stack of frames."""
+    agent: DQNConfig = field(
+        default_factory=lambda: DQNConfig(
+            updates=100, fake_updates=200, n_step=3, fake_capacity=20_000
+        )
+    )
+    """Updates, batches and replays of the agent (DQN)."""
+    hparams: DynaHParams = field(
+        default_factory=lambda: DynaHParams(
+            agent=DQNHParams(
+                discount=0.97, epsilon_hold=20.0, epsilon_episodes=30.0, epsilon_last=0.02
+            ),
+            model=AdversarialHParams(2e-3, 1.0, 2e-3),
+            env=PongParams(),
+        )
+    )
+    """Learning rates, discount: what `jaxdyna.sweep` can sweep."""
+
+    def __post_init__(self) -> None:
+        cli.check_common(self)
+        if self.game == "ale":
+            raise ValueError(
+                "--game ale: learning to play the Atari 2600 game is not built; choose --game jax, "
+                "or --part model"
+            )
+        if not self.arms:
+            raise ValueError("--arms is empty: name at least one arm")
+        if self.hparams.env != PongParams():
+            raise ValueError(
+                "--hparams.env is decided by --steps and --serve-delay: leave it at its defaults"
+            )
+        cli.check_numbers(self.hparams, "--hparams", may_be_infinite=["disagreement_threshold"])
+        for name in SHARES:
+            if not 0 <= getattr(self.hparams.agent, name) <= 1:
+                flag = f"--hparams.agent.{name.replace('_', '-')}"
+                raise ValueError(f"{flag} must lie between 0 and 1")
+        if self.dream_steps > self.steps:
+            raise ValueError("--dream-steps is more than --steps: a dream is no longer than that")
+        if self.glimpse < 1 or self.glimpse % 2 == 0:
+            raise ValueError(f"--glimpse is {self.glimpse}: give an odd number of pixels")
+        if not 0 <= self.reward_weight < float("inf"):
+            raise ValueError("--reward-weight must be a finite number of at least 0")
+        if self.steps <= DREAM_FROM:
+            raise ValueError(f"--steps is {self.steps}: an episode needs more than {DREAM_FROM}")
+        frames_of(self)
+        dyna_config(self)
+
+    @property
+    def rule(self) -> SolveRule:
+        """As many points as the opponent."""
+        return SolveRule(WINDOW, LEVEL)
+
+
+def frames_of(options: Options) -> Frames:
+    """What `pong_options` is to be told for the same game and models."""
+    names = (
+        "scale", "frame_skip", "steps", "serve_delay", "patch", "widths", "kernels", "dense",
+        "hidden",
+    )  # fmt: skip
+    same = {name: getattr(options, name) for name in names}
+    return Frames(**same, horizon=1, dreams=1)
+
+
+def dyna_config(options: Options) -> DynaConfig:
+    """The counts of a run."""
+    return DynaConfig(
+        num_episodes=options.episodes,
+        num_real_first=options.real_first,
+        num_steps=options.steps,
+        model_updates=options.model_updates,
+        model_batch=options.model_batch,
+        dream_episodes=options.dream_episodes,
+        dream_steps=options.dream_steps,
+        rare_share=options.rare_share,
+    )
+
+
+def agent_config(options: Options) -> DQNConfig:
+    """DQN's counts, with room for what this run can add to its replays and no more."""
+    agent, fake = options.agent, options.dream_episodes * options.dream_steps
+    capacity = max(agent.fake_capacity, fake)
+    return replace(
+        agent,
+        network=GlimpseQ(game_of(options).num_actions, size=options.glimpse),
+        capacity=max(min(agent.capacity, options.episodes * options.steps), options.steps),
+        episodes=min(agent.episodes, options.episodes),
+        fake_capacity=capacity,
+        fake_episodes=max(capacity // options.dream_steps, options.dream_episodes),
+    )
+
+
+def model_config(options: Options, model: str) -> PixelConfig:
+    """The settings of a model of `pong_options.ModelName`, with a head for the reward."""
+    config = config_of(frames_of(options), model)
+    return replace(config, reward=SignedReward(), reward_weight=options.reward_weight)
+
+
+def env_params(options: Options) -> PongParams:
+    """The game's."""
+    return params_of(options)
+
+
+PAPER = Options()
+LEAN = replace(
+    PAPER,
+    preset="lean",
+    arms=("model_free", "dyna"),
+    real_first=5,
+    hparams=replace(
+        PAPER.hparams,
+        agent=replace(PAPER.hparams.agent, epsilon_hold=10.0, epsilon_episodes=15.0),
+    ),
+)
+PRESETS = {"paper": PAPER, "lean": LEAN}
+_FEW: dict[str, Any] = {
+    "quick": True,
+    "seeds": 2,
+    "episodes": 26,
+    "steps": 100,
+    "real_first": 10,
+    "widths": (8, 8, 8),
+    "dense": 64,
+    "hidden": (64, 64),
+    "model_updates": 30,
+    "dream_episodes": 50,
+    "agent": replace(PAPER.agent, updates=30, fake_updates=30),
+}
+QUICK = {"paper": replace(PAPER, **_FEW), "lean": replace(LEAN, **_FEW)}

@@ -1,0 +1,213 @@
+"""What learning to play Pong leaves behind: curves, the table, the cause, films."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax
+import numpy as np
+from rich.console import Console
+
+from jaxdyna.experiments import plots, plots_frames, report
+from jaxdyna.experiments.pong_options import game_of
+from jaxdyna.experiments.pong_train_options import LEVEL, WINDOW, Options
+from jaxdyna.experiments.report import Results, interval, markdown_table
+from jaxdyna.experiments.run import Arm, ArmRun
+from jaxdyna.experiments.train_cost import cost_of_parts, cost_table, describe_cost
+from jaxdyna.rollout import rollout
+from jaxdyna.statistics import bootstrap_interval, episodes_to_solve
+
+GREEDY_EPISODES = 20
+FILM_STEPS = 150
+SMOOTHED = 10
+MAIN_ARMS = ("model_free", "dyna_l2", "dyna_adversarial", "dyna")
+MEASURES = {
+    "won": "points won an episode",
+    "lost": "points lost an episode",
+    "wrong_frames": "share of new frames predicted wrong",
+}
+Curves = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class PongReport:
+    """The experiment's own part of a `jaxdyna.experiments.session.Session`."""
+
+    options: Options
+
+    def analyse(self, arm: Arm, run: ArmRun, key: jax.Array) -> Curves:
+        """The final greedy policies in new episodes: ``greedy_return`` ``[seeds, episodes]`` and
+        ``film_greedy``, frames of one of the first run's; and `cost_of_parts` of the first run.
+        """
+        env, agent = arm.dyna.env, arm.dyna.agent
+        greedy = replace(arm.hparams.agent, epsilon_first=0.0, epsilon_last=0.0)
+        policies = replace(run.state.agent, real=None, fake=None)
+
+        def play(state, key, episodes):
+            def act(obs, key):
+                return agent.act(state, obs, key, greedy)
+
+            steps = self.options.steps
+            return rollout(env, act, key, arm.hparams.env, episodes, num_steps=steps)
+
+        def judge(pair):
+            return play(pair[0], pair[1], GREEDY_EPISODES).reward.sum(-1)
+
+        def filmed(state, key):
+            return play(state, key, 1).next_obs[..., -3:]
+
+        key, key_cost, key_film = jax.random.split(key, 3)
+        keys = jax.random.split(key, len(jax.tree.leaves(policies)[0]))
+        returns = jax.jit(lambda *args: jax.lax.map(judge, args))(policies, keys)
+        first = jax.tree.map(lambda leaf: leaf[0], run.state)
+        alone = replace(first.agent, real=None, fake=None)
+        film = jax.jit(filmed)(alone, key_film)
+        updates = (self.options.agent.updates, self.options.agent.fake_updates)
+        kept = {"greedy_return": np.asarray(returns), "film_greedy": np.asarray(film)}
+        return kept | cost_of_parts(arm, updates, first, key_cost)
+
+    def describe(self, curves: Curves) -> Results:
+        """The final greedy policy in numbers, and what a real episode costs."""
+        greedy = curves["greedy_return"].mean(1)
+        return {
+            "greedy_return": {
+                "mean": float(greedy.mean()),
+                "ci95": bootstrap_interval(greedy, lambda rows: rows.mean(-1)),
+                "per_seed": greedy.tolist(),
+            },
+            "cost": describe_cost(curves),
+        }
+
+    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+        """``returns.png``, ``solved.png``, ``points.png``, ``film.gif``."""
+        rule, options = self.options.rule, self.options
+        solved_at = {name: episodes_to_solve(rule.score(arm), rule) for name, arm in curves.items()}
+        shown = [name for name in curves if name in MAIN_ARMS] or list(curves)[:4]
+        plots.learning_curves(
+            out / "returns.png",
+            {name: curves[name]["real_return"] for name in shown},
+            LEVEL,
+            solved_at,
+            options.real_first,
+            what="point difference",
+            window=SMOOTHED,
+        )
+        begins = {name: at - WINDOW + 1 for name, at in solved_at.items()}
+        known = {
+            name: max(arm["real_return"].shape[1] - WINDOW + 1, 1) for name, arm in curves.items()
+        }
+        plots.solved_share(out / "solved.png", begins, known)
+        said = {title: {name: arm[key] for name, arm in curves.items() if key in arm}
+                for key, title in MEASURES.items()}  # fmt: skip
+        plots.behaviour(
+            out / "points.png", {title: arms for title, arms in said.items() if arms}, SMOOTHED
+        )
+        columns = {name: curves[name]["film_greedy"][0, :FILM_STEPS] for name in shown}
+        plots_frames.film(out / "film.gif", columns)
+
+    def markdown(self, results: Results) -> str:
+        """The report."""
+        options = self.options
+        parts = [
+            "# Pong: learning to play",
+            f"`{results['command']}`",
+            f"{options.seeds} runs of each arm. An episode is {options.steps} steps of "
+            f"{options.frame_skip} frames of the pure game, its return the points won less those "
+            f"lost, so that 0 is as many points as the opponent. {str(options.rule).capitalize()}. "
+            "The rule is the same for all arms and counts every real episode. An unsolved run is "
+            "never dropped: it leaves the mean undefined, and only a lower bound (≥) is known.",
+            markdown_table(*report.arm_table(results, {}, WINDOW)),
+            *report.comparison(results, {}),
+            "![point difference against real episodes](returns.png)",
+            "![share of the runs that have solved](solved.png)",
+            "![points won and lost, frames predicted wrong](points.png)",
+            *_cause_said(results),
+            "## The final policy",
+            f"Greedy, {GREEDY_EPISODES} new episodes a run: mean point difference, 95% interval.",
+            markdown_table(*_greedy(results)),
+            "Red is the opponent, green the own paddle, blue the ball.",
+            "![the first run's final policies](film.gif)",
+            "## How",
+            _method(options),
+            "## Time",
+            markdown_table(*_time(results)),
+            "What a real episode takes once there are dreams, one run alone on the machine; the "
+            "floor is the floating-point operations over the rate of a large matrix product.",
+            markdown_table(*cost_table(results)),
+        ]  # fmt: skip
+        return "\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
+
+    def summary(self, console: Console, results: Results) -> None:
+        """The table in the terminal, and the ratios under it."""
+        title = f"Pong, {self.options.preset} preset, {self.options.seeds} runs an arm"
+        report.print_table(console, title, *report.short_table(results, {}, WINDOW))
+        for line in report.comparison(results, {}):
+            console.print(line.replace("**", ""))
+        console.print(f"{results['timing']['total_s']:.0f} s in all")
+
+
+def _cause_said(results: Results) -> list[str]:
+    mended = [name for name in results["arms"] if name.startswith("true_")]
+    if not mended or "dyna_l2" not in results["arms"]:
+        return []
+    both = {name: results["arms"][name] for name in ("dyna_l2", *mended)}
+    return [
+        "## Which object's error does it",
+        "`true_...` is `dyna_l2` whose dreams show one object as the true game has it, which runs "
+        "beside the dream from a state read off the same frames; rewards are the model's.",
+        *report.comparison({"arms": both}, {}, "dyna_l2"),
+    ]
+
+
+def _greedy(results: Results) -> tuple[list[str], list[list[str]]]:
+    rows = []
+    for name, arm in results["arms"].items():
+        said = arm["greedy_return"]
+        rows.append([name, f"{arm['episodes_played']}",
+                     f"{said['mean']:.2f} ({interval(said['ci95'], 2)})"])  # fmt: skip
+    return ["arm", "real episodes played", "point difference"], rows
+
+
+def _time(results: Results) -> tuple[list[str], list[list[str]]]:
+    timing = results["timing"]
+    rows = [
+        [name, f"{arm['compile_s']:.0f}", f"{arm['run_s']:.0f}"]
+        for name, arm in timing["arms"].items()
+    ]
+    rows.append(["all, with judging and drawing", "", f"{timing['total_s']:.0f}"])
+    cores = results["device"]["cpu_cores"]
+    return [f"arm ({cores} cores)", "compiling (s)", "running (s)"], rows
+
+
+def _method(options: Options) -> str:
+    agent, hparams = options.agent, options.hparams.agent
+    side = game_of(options).frame_shape[0]
+    rare = options.rare_share
+    often = "" if rare is None else f", at least {rare:.0%} of them points won and lost"
+    return "\n".join(
+        [
+            f"- Frames of {side}x{side}, each object in a channel of its own; a ball is served "
+            f"{options.serve_delay} of the game's frames after a point (63 in the real game).",
+            f"- Agent, in all arms: {'Double ' if agent.double else ''}DQN on four stacked frames "
+            f"by glimpses of {options.glimpse}x{options.glimpse}, {agent.n_step}-step targets, "
+            f"discount {hparams.discount:g}, Adam at {hparams.learning_rate:g}, batches of "
+            f"{agent.batch} drawn by priority with an exponent of {hparams.priority_exponent:g}; "
+            f"{agent.updates} updates after a real episode.",
+            f"- Exploration, in all arms: {hparams.epsilon_first:.0%} of the actions are random "
+            f"for {hparams.epsilon_hold:g} episodes, {hparams.epsilon_last:.0%} after "
+            f"{hparams.epsilon_episodes:g} more.",
+            f"- Models: {options.model_updates} updates after each real episode on batches of "
+            f"{options.model_batch}{often}. `dyna`: each object moves as a whole. `dyna_l2`: Fig. "
+            "4 on patches, squared error, in shades; `dyna_adversarial`: with the adversarial loss "
+            "beside it. All read the reward off their joint features.",
+            f"- Dreams: from real episode {options.real_first} on, after each, "
+            f"{options.dream_episodes} of {options.dream_steps} steps from any real stack of "
+            f"frames, {hparams.epsilon_fake:.0%} of their actions random; then "
+            f"{agent.fake_updates} updates on batches of which {hparams.fake_share:.0%} is "
+            "dreamed.",
+            "- Controls: `placebo` dreams in our model, never trained; `oracle` in the true game, "
+            "from a state read off the same frames (what they cannot tell is drawn).",
+        ]
+    )

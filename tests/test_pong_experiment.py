@@ -1,0 +1,255 @@
+"""Pong's experiments: episodes, judging, true games beside dreams, command lines and reports."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxdyna import frame_replay
+from jaxdyna.envs import CHANNELS, FrameStack, Palette
+from jaxdyna.envs.pong_screen import empty_screen, paint, screen_masks
+from jaxdyna.experiments import pong, pong_ale, pong_train_report
+from jaxdyna.experiments.pong_data import Player, choose, middle_row, play, take, view_of
+from jaxdyna.experiments.pong_guided import GuidedDream, GuidedParams, read_state
+from jaxdyna.experiments.pong_judge import OBJECTS, counts, precision, recall
+from jaxdyna.experiments.pong_options import Options, game_of, params_of
+from jaxdyna.experiments.pong_train import make_arms, points
+from jaxdyna.experiments.pong_train_options import PAPER as TRAIN
+from jaxdyna.networks import ShiftDynamics, SignedReward
+from jaxdyna.types import Prediction, Transition
+
+OPTIONS = Options(steps=60, horizon=10)
+GAME, PARAMS = game_of(OPTIONS), params_of(OPTIONS)
+VIEW = view_of(GAME)
+
+
+@pytest.fixture(scope="module")
+def played():
+    return jax.jit(lambda key: play(GAME, PARAMS, 60, 4, True, key))(jax.random.key(3))
+
+
+def test_players_follow_the_ball():
+    keys = jax.random.split(jax.random.key(0), 64)
+    certain = Player(jnp.float32(1), jnp.float32(0))
+    act = jax.jit(jax.vmap(choose, (None, None, None, None, 0)))
+
+    def chosen(player, ball, seen):
+        return set(np.asarray(act(player, ball, 80.0, seen, jax.random.clone(keys))).tolist())
+
+    for ball, allowed in ((120.0, {3, 5}), (20.0, {2, 4}), (79.0, {0, 1})):
+        assert chosen(certain, ball, True) == allowed
+    assert chosen(certain, 0.0, False) == {0, 1}
+    assert chosen(Player(jnp.float32(0), jnp.float32(0)), 0.0, True) == set(range(6))
+
+
+def test_kept_episodes_look_as_the_stacked_game_does(played):
+    """Frames are drawn when they are needed, and are the same as if they had been kept."""
+    first = take(VIEW, played, jnp.array([0]), jnp.array([0]))
+    obs, _ = FrameStack(GAME).reset(jax.random.key(0), PARAMS)
+    np.testing.assert_array_equal(first.obs[0], obs)
+    times = jnp.arange(20, 40)
+    later = take(VIEW, played, jnp.ones_like(times), times)
+    np.testing.assert_array_equal(later.next_obs[:-1], later.obs[1:])
+    assert not later.truncated.any()
+    assert take(VIEW, played, jnp.array([0]), jnp.array([59])).truncated.all()
+
+    @jax.jit
+    def follows(time):
+        now = jax.tree.map(lambda leaf: leaf[1, time], played.world)
+        after = jax.tree.map(lambda leaf: leaf[1, time + 1], played.world)
+        _, new, reward, *_ = GAME.step(jax.random.key(0), now, played.action[1, time], PARAMS)
+        same = (GAME.frame(new) == GAME.frame(after)).all() & (reward == played.reward[1, time])
+        return same, (now.wait == 0) & (after.wait == 0)
+
+    same, unserved = jax.vmap(follows)(times)
+    assert unserved.any() and same[unserved].all()  # only serves are random
+
+
+def test_a_state_read_off_frames_shows_the_newest_of_them(played):
+    times = jnp.arange(3, 60, 4)
+
+    @jax.jit
+    def read(episode, time, key):
+        stack = take(VIEW, played, episode[None], time[None]).obs[0]
+        state = read_state(GAME, stack, PARAMS, key)
+        true = jax.tree.map(lambda leaf: leaf[episode, time], played.world)
+        shown = (GAME.frame(state) == stack[..., -3:]).all()
+        return shown, (state.ball_velocity == true.ball_velocity).all(), true.wait == 0
+
+    keys = jax.random.split(jax.random.key(1), (4, len(times)))
+    over_time = jax.vmap(read, (None, 0, 0))
+    shown, same, in_play = jax.vmap(over_time, (0, None, 0))(jnp.arange(4), times, keys)
+    assert shown.all()
+    assert same[in_play].mean() > 0.9
+
+
+def test_only_the_chosen_object_is_the_truth(played):
+    """Beside a model that sees nothing; the oracle's frames and rewards are the game's."""
+    some = take(VIEW, played, jnp.array([0, 1]), jnp.array([10, 11]))
+    episodes = jax.tree.map(lambda leaf: leaf[:, None], some)
+    example = jax.tree.map(lambda leaf: leaf[0], some)
+    held = frame_replay.add(frame_replay.init(8, 4, example), episodes)
+
+    def blind(params, obs, action, key):
+        dark = jnp.concatenate([obs[..., 3:], jnp.zeros_like(obs[..., :3])], -1)
+        return Prediction(dark, jnp.float32(7), jnp.float32(0), jnp.float32(0))
+
+    def step(predict, truth):
+        env = GuidedDream(FrameStack(GAME), predict, truth)
+        params = GuidedParams(None, PARAMS, held, max_steps=1)
+
+        @jax.jit
+        def go(key):
+            first, second = jax.random.split(key)
+            _, state = env.reset(first, params)
+            return env.step(second, state, jnp.int32(2), params)
+
+        return go(jax.random.key(4))
+
+    whole, _, reward, terminated, truncated, _ = step(None, tuple(OBJECTS.values()))
+    assert abs(float(reward)) <= 1 and truncated and not terminated
+    for channel in OBJECTS.values():
+        seen, _, said, *_ = step(blind, (channel,))
+        newest = np.asarray(seen[..., -3:])
+        np.testing.assert_array_equal(newest[..., channel], whole[..., -3 + channel])
+        assert said == 7 and not np.delete(newest, channel, axis=-1).any()
+
+
+def test_recall_and_precision_by_hand():
+    truth = np.zeros((2, 3, 3, 3), bool)
+    truth[0, :2, 0, OBJECTS["ball"]] = truth[1, 2, 2, OBJECTS["opponent"]] = True
+    lit = truth.copy()
+    lit[0, 0, 0, OBJECTS["ball"]] = False
+    lit[1, :, :, OBJECTS["opponent"]] = True
+    counted = np.asarray(counts(jnp.array(lit), jnp.array(truth), (0, 1, 2)))
+    np.testing.assert_array_equal(counted, [[1, 1, 2], [0, 0, 0], [1, 9, 1]])
+    np.testing.assert_allclose(recall(counted), [0.5, 0, 1])
+    np.testing.assert_allclose(precision(counted), [1, 0, 1 / 9])
+
+
+def test_points_are_counted_for_either_side():
+    reward = jnp.array([[1.0, -1, 0, -1, 1]])
+    flags = jnp.zeros((1, 5), bool)
+    real = Transition(reward, reward, reward, reward, flags, flags, jnp.arange(5)[None] < 4)
+    said = points(real, None, PARAMS)
+    assert (said["won"], said["lost"]) == (1, 2)
+
+
+def test_screens_are_reduced_to_what_the_pure_game_shows(played):
+    state = jax.tree.map(lambda leaf: leaf[0, 12], played.world)
+    screen = paint(empty_screen(state, Palette()), screen_masks(state), Palette())
+    small = pong_ale.reduced(screen, 4)
+    np.testing.assert_array_equal(small, paint(jnp.zeros((40, 40, 3), jnp.uint8),
+                                               GAME.object_masks(state), CHANNELS))  # fmt: skip
+    row, seen = middle_row(small[..., OBJECTS["own paddle"]] > 0, 4)
+    assert seen and abs(float(row) - (int(state.own) + 8)) <= 3
+
+
+def test_the_real_game_is_collected():
+    pytest.importorskip("ale_py")
+    options = Options(game="ale", steps=20, horizon=10, frame_skip=4)
+    real = pong_ale.collect(options, 2, True, jax.random.key(0))
+    assert real.world.shape == (2, 21, 40, 40, 3) and real.action.shape == (2, 20)
+    sizes = real.world[:, -1].any((1, 2))
+    assert sizes[:, OBJECTS["own paddle"]].all() and sizes[:, OBJECTS["opponent"]].all()
+    seen = take(pong_ale.VIEW, jax.tree.map(jnp.array, real), jnp.array([1]), jnp.array([19]))
+    np.testing.assert_array_equal(seen.next_obs[0, ..., -3:], real.world[1, 20])
+
+
+def test_a_sharp_network_commits_itself_once_trained():
+    """Untrained it believes in every shift a little; sharp, in one."""
+    stack = jnp.zeros((1, 8, 8, 8)).at[0, 3, 3, 6].set(1).at[0, 5, 5, 7].set(1)
+    action = jnp.zeros((1, 3))
+    sharp = ShiftDynamics(2, (2, 2), (8,), sharp=True)
+    params = jax.jit(sharp.init, static_argnums=3)(jax.random.key(0), stack, action, True)
+    believed = {
+        train: np.asarray(jax.nn.sigmoid(sharp.apply(params, stack, action, train)[0]))
+        for train in (True, False)
+    }
+    assert (believed[False] > 0.3).sum() == 2
+    assert (believed[True] > 0.3).sum() == 0
+
+
+def test_a_signed_reward_is_a_difference_of_probabilities():
+    head, features = SignedReward(), jnp.ones((5, 4))
+    params = head.init(jax.random.key(0), features, features)
+    zero = jax.tree.map(jnp.zeros_like, params)
+    assert (head.apply(zero, features, features)[0] == 0).all()
+    sure = {"params": {"Dense_0": {"kernel": jnp.zeros((4, 2)), "bias": jnp.array([9.0, -9.0])}}}
+    np.testing.assert_allclose(head.apply(sure, features, features)[0], 1, atol=1e-3)
+
+
+def test_arms_differ_by_what_their_names_say():
+    arms = make_arms(TRAIN)
+    assert arms["dyna"].dyna is arms["placebo"].dyna and not arms["placebo"].hparams.model_trains
+    assert arms["oracle"].dyna.dream.env.predict is None
+    for name, thing in (("true_ball", "ball"), ("true_own", "own paddle")):
+        dream = arms[name].dyna.dream.env
+        assert dream.truth == (OBJECTS[thing],) and arms[name].dyna.model is not None
+        assert arms[name].dyna.model is arms["dyna_l2"].dyna.model
+    assert arms["model_free"].dyna.agent is arms["dyna"].dyna.agent
+
+
+TINY_TRAIN = [
+    "--quick", "--seeds", "1", "--episodes", "21", "--steps", "12", "--real-first", "20",
+    "--model-updates", "1", "--model-batch", "2", "--dream-episodes", "2", "--dream-steps", "2",
+    "--hidden", "4", "--agent.updates", "1", "--agent.fake-updates", "1", "--agent.batch", "2",
+    "--agent.fake-capacity", "16", "--arms", "true_own",
+]  # fmt: skip
+
+
+def test_learning_leaves_what_the_contract_asks_for(tmp_path, monkeypatch):
+    free = {"cost_seconds": np.ones(4), "cost_operations": np.ones(4), "cost_rate": np.ones(())}
+    monkeypatch.setattr(pong_train_report, "cost_of_parts", lambda *_: free)
+    assert pong.main([*TINY_TRAIN, "--out", str(tmp_path)]) == 0
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert results["experiment"] == "pong" and set(results["arms"]) == {"true_own"}
+    for arm in results["arms"].values():
+        for name in ("episodes_to_solve", "first_solved", "real_steps_to_solve", "final_return"):
+            assert len(arm[name]["per_seed"]) == 1
+        assert "last 20 reaches 0" in arm["solve_rule"]
+    report = (tmp_path / "report.md").read_text()
+    for name in ("returns.png", "solved.png", "points.png", "film.gif"):
+        assert f"({name})" in report and (tmp_path / name).exists()
+
+
+TINY_MODEL = [
+    "--part", "model", "--quick", "--seeds", "1", "--episodes", "2", "--steps", "14", "--horizon",
+    "3", "--held-out", "2", "--dreams", "2", "--hidden", "4", "--ours.updates", "2",
+    "--ours.batch", "2", "--arms", "ours",
+]  # fmt: skip
+
+
+def test_frame_prediction_leaves_tables_and_figures(tmp_path):
+    assert pong.main([*TINY_MODEL, "--out", str(tmp_path)]) == 0
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert results["experiment"] == "pong_model" and set(results["arms"]["ours"]) == {
+        "random", "mixed"
+    }  # fmt: skip
+    judged = results["arms"]["ours"]["mixed"]
+    assert set(judged["recall"]) == set(OBJECTS) and set(judged["dream"]["recall"]) == {"1", "2"}
+    report = (tmp_path / "report.md").read_text()
+    for name in ("fig9.png", "fig9_random.png", "horizon.png", "dream.gif"):
+        assert f"({name})" in report and (tmp_path / name).exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--game", "ale"], "not built"),
+        (["--arms"], "--arms"),
+        (["--steps", "9"], "--steps"),
+        (["--glimpse", "4"], "odd"),
+        (["--scale", "3"], "divisor of 160"),
+        (["--part", "model", "--patch", "20"], "--patch 20"),
+        (["--part", "model", "--horizon", "195"], "--horizon"),
+        (["--part", "model", "--policies"], "--policies"),
+    ],
+)
+def test_bad_input_is_one_line(arguments, words, capsys):
+    with pytest.raises(SystemExit) as stop:
+        pong.main(arguments)
+    said = capsys.readouterr().err
+    assert stop.value.code == 2 and words in said and len(said.splitlines()) == 1
