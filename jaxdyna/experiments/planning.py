@@ -30,6 +30,12 @@ from jaxdyna.experiments.variants import VariantOptions, Variants
 from jaxdyna.planners import require_mctx
 
 GROUNDS = {"cartpole": cartpole_ground, "maze": maze_ground}
+CONTENDERS = (
+    "policy", "MPC (true world)", "MPC (learned world)", "MCTS (true world)",
+    "MCTS (learned world)", "MPC to the goal (true world)", "MPC, learned values (true world)",
+    "MPC, learned values (learned world)", "MCTS, learned values (true world)",
+    "MCTS, learned values (learned world)",
+)  # fmt: skip
 GROUND_KEY = 2**32 - 2
 """Folded into the base seed's key: the runs' own keys are its first splits."""
 
@@ -41,10 +47,10 @@ class Options(VariantOptions):
     preset: str = "lean"
     """Only lean: whose models and policies are used."""
     quick: bool = False
-    """A look at everything in minutes: few runs, few budgets, a small board."""
+    """A look at everything in two minutes: few runs, few budgets, a small board."""
     seeds: int = 20
     """Runs of every arm on CartPole."""
-    episodes: int = 150
+    episodes: int = 300
     """Real episodes of a run at the most."""
     arms: tuple[str, ...] = (
         "dyna", "mpc_init", "dyna, 20 model updates", "mpc_init, 20 model updates",
@@ -55,6 +61,8 @@ class Options(VariantOptions):
     """Episodes an arm plays on once all its seeds have solved; None plays all of them."""
     grounds: tuple[str, ...] = tuple(GROUNDS)
     """Where decisions are timed and played: cartpole, maze."""
+    contenders: tuple[str, ...] = CONTENDERS
+    """Who decides there: the policy, and planners by what they are told and plan in."""
     sizes: Sizes = Sizes()
     """How much is played and tried there."""
 
@@ -63,7 +71,12 @@ class Options(VariantOptions):
         if unknown := sorted(set(self.grounds) - set(GROUNDS)):
             there_are = " and ".join(GROUNDS)
             raise ValueError(f"--grounds: there is no {unknown[0]}; there are {there_are}")
-        for name in ("episodes", "played", "candidates", "simulations", "far_candidates"):
+        if unknown := sorted(set(self.contenders) - set(CONTENDERS)):
+            there_are = "; ".join(CONTENDERS)
+            raise ValueError(f"--contenders: there is no {unknown[0]}; there are: {there_are}")
+        if "policy" not in self.contenders:
+            raise ValueError("--contenders: the policy is what planners are compared with; add it")
+        for name in ("runs", "episodes", "played", "candidates", "simulations", "far_candidates"):
             if min(getattr(self.sizes, name), default=1) < 1:
                 raise ValueError(f"--sizes.{name.replace('_', '-')}: give numbers of at least 1")
         if self.sizes.batch < 1:
@@ -73,15 +86,16 @@ class Options(VariantOptions):
 FULL = Options()
 QUICK = Options(
     quick=True,
-    seeds=4,
+    seeds=2,
     episodes=110,
     arms=("dyna", "mpc_init", "mpc"),
+    contenders=tuple(name for name in CONTENDERS if "true world" not in name),
     sizes=Sizes(
+        runs=(1, 1),
         episodes=(15, 25),
         played=(4, 4),
-        candidates=(4, 32),
+        candidates=(32,),
         simulations=(8,),
-        far_candidates=(16, 128),
         small_maze=True,
     ),
 )
@@ -168,7 +182,8 @@ def budgets(options: Options, say: Any) -> list[Results]:
     for (name, make), key in zip(GROUNDS.items(), keys, strict=True):
         if name in options.grounds:
             say(f"{name}: learning a model and a policy ...")
-            rows += measure(*make(key, options.sizes), say)
+            ground, tried = make(key, options.sizes)
+            rows += measure(ground, (who for who in tried if who.label in options.contenders), say)
     return rows
 
 

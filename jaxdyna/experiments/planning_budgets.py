@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -29,14 +30,19 @@ class Contender(NamedTuple):
         who: its kind: a policy, a planner.
         world: what it plans in, "-" where nothing is planned.
         steps: steps of that world a decision.
-        act: ``(obs, state, key) -> action`` from what is seen and from the true state, which only
-            planners in the true environment may look at.
+        act: ``(learned, obs, state, key) -> action`` from what one run has learned, what is seen,
+            and the true state, which only planners in the true environment may look at.
     """
 
     who: str
     world: str
     steps: int
-    act: Callable[[jax.Array, Any, Key], jax.Array]
+    act: Callable[[Any, jax.Array, Any, Key], jax.Array]
+
+    @property
+    def label(self) -> str:
+        """Its kind and its world."""
+        return self.who if self.world == "-" else f"{self.who} ({self.world} world)"
 
 
 class Ground(NamedTuple):
@@ -46,16 +52,18 @@ class Ground(NamedTuple):
         name: of the environment.
         env: the real environment.
         params: its parameters.
+        learned: what runs have learned, ``[runs, ...]``.
         num_steps: of an episode.
         best: ``(state, params) -> return``: the most that could be had from a start.
         key: random key of the episodes.
-        episodes: how many.
+        episodes: how many with what each run has learned.
         batch: environments that are decided for at once in the second timing.
     """
 
     name: str
     env: Environment
     params: Any
+    learned: Any
     num_steps: int
     best: Callable[[Any, Any], jax.Array]
     key: Key
@@ -67,13 +75,13 @@ def measure(
     ground: Ground, contenders: Iterable[Contender], say: Callable[[str], None]
 ) -> list[Results]:
     """A row a contender: its returns, their share of what could be had, and milliseconds."""
-    starts = first_states(ground.env, jax.random.clone(ground.key), ground.params, ground.episodes)
-    best = np.asarray(jax.jit(jax.vmap(lambda start: ground.best(start, ground.params)))(starts))
+    best = best_returns(ground)
     rows = []
     for contender in contenders:
         returns = play(ground, contender.act)
         pairs = np.stack([returns, best], axis=-1)
-        said = f"{contender.who}, {contender.world} world, {contender.steps} steps"
+        apart = pairs.sum(1) if len(pairs) > 1 else pairs[0]  # by run, or else by episode
+        said = f"{contender.label}, {contender.steps} steps"
         rows.append(
             {
                 "environment": ground.name,
@@ -83,7 +91,7 @@ def measure(
                 "returns": returns.tolist(),
                 "share": float(returns.sum() / best.sum()),
                 "share_ci95": bootstrap_interval(
-                    pairs, lambda rows: rows[..., 0].sum(-1) / rows[..., 1].sum(-1)
+                    apart, lambda rows: rows[..., 0].sum(-1) / rows[..., 1].sum(-1)
                 ),
                 "ms": milliseconds(ground, contender.act, 1),
                 "batch": ground.batch,
@@ -94,32 +102,53 @@ def measure(
     return rows
 
 
-def play(ground: Ground, act: Callable[[jax.Array, Any, Key], jax.Array]) -> np.ndarray:
-    """Returns ``[episodes]``."""
+def best_returns(ground: Ground) -> np.ndarray:
+    """The most that could be had in each episode, ``[runs, episodes]``."""
+
+    def best(key: Key) -> jax.Array:
+        starts = first_states(ground.env, key, ground.params, ground.episodes)
+        return jax.vmap(lambda start: ground.best(start, ground.params))(starts)
+
+    return np.asarray(jax.jit(jax.vmap(best))(_keys(ground)))
+
+
+def play(ground: Ground, act: Callable[[Any, jax.Array, Any, Key], jax.Array]) -> np.ndarray:
+    """Returns ``[runs, episodes]``."""
     world = Revealed(ground.env)
 
-    def whole(key: Key) -> jax.Array:
+    def whole(run: tuple[Any, Key]) -> jax.Array:
+        learned, key = run
+
         def decide(seen: jax.Array, key: Key) -> jax.Array:
-            return act(*world.read(seen, ground.params), key)
+            return act(learned, *world.read(seen, ground.params), key)
 
         played = rollout(
             world, decide, key, ground.params, ground.episodes, num_steps=ground.num_steps
         )
         return played.reward.sum(-1)
 
-    return np.asarray(jax.jit(whole)(jax.random.clone(ground.key)))
+    runs = jax.jit(lambda learned, keys: jax.lax.map(whole, (learned, keys)))
+    return np.asarray(runs(ground.learned, _keys(ground)))
+
+
+def _keys(ground: Ground) -> Key:
+    runs = jax.tree.leaves(ground.learned)[0].shape[0]
+    return jax.random.split(jax.random.clone(ground.key), runs)
 
 
 def milliseconds(
-    ground: Ground, act: Callable[[jax.Array, Any, Key], jax.Array], batch: int
+    ground: Ground, act: Callable[[Any, jax.Array, Any, Key], jax.Array], batch: int
 ) -> float:
-    """Of one call that decides for so many environments: the median of several timings."""
+    """Of one call that decides for so many environments by what the first run has learned: the
+    median of several timings.
+    """
     keys = jax.random.split(jax.random.fold_in(jax.random.clone(ground.key), batch), (2, batch))
     obs, state = jax.jit(jax.vmap(lambda key: ground.env.reset(key, ground.params)))(keys[0])
-    decide: Any = jax.vmap(act)
+    one = partial(act, jax.tree.map(lambda leaf: leaf[0], ground.learned))
+    decide: Any = jax.vmap(one)
     args = (obs, state, keys[1])
     if batch == 1:  # as who acts in one environment would call it
-        decide, args = act, jax.tree.map(lambda leaf: leaf[0], args)
+        decide, args = one, jax.tree.map(lambda leaf: leaf[0], args)
     call = jax.jit(decide).lower(*args).compile()
     jax.block_until_ready(call(*args))
     timings: list[float] = []

@@ -74,9 +74,10 @@ class PlanningReport(VariantsReport):
             "![share of the return that could be had, against milliseconds a decision]"
             "(decisions.png)",
             "Share: of the most that could be had in the same episodes (the Maze's by value "
-            "iteration, CartPole's 200), with its 95% interval over the episodes. Steps: of the "
-            "world that is planned in, a decision. Milliseconds: of one call for one environment, "
-            f"and a decision's part of a call for {batch}; a jitted call takes some hundredths "
+            "iteration, CartPole's 200), with its 95% interval over the runs that learned (over "
+            "episodes where there is one). Steps: of the world that is planned in, a decision. "
+            "Milliseconds: of one call for one environment, and "
+            f" a decision's part of a call for {batch}; a jitted call takes some hundredths "
             "of a millisecond whatever it does.",
             markdown_table(*_long(self.budgets)),
             GROUNDS_SAID,
@@ -125,7 +126,8 @@ ARMS_SAID = (
     "model-free learning goes on. The models with fewer updates are poorer ones."
 )
 GROUNDS_SAID = (
-    "Policy, values and model come from one run of `dyna` in the `lean` preset. MPC is random "
+    "Policy, values and model come from runs of `dyna` in the `lean` preset, and everybody plays "
+    "some episodes with what each run has learned; times are the first run's. MPC is random "
     "shooting. «To the goal» looks ahead half as far again as the goal is and is told nothing; a "
     "planner with learned values looks a few steps ahead and takes the run's Q-values for what "
     "comes after. MCTS is MuZero's search; without learned values in the Maze its leaves are "
