@@ -68,7 +68,6 @@ def worse_models(base: Options) -> dict[str, Options]:
         "model: L2 loss": replace(base, model_loss="l2"),
         "model: L1 loss": replace(base, model_loss="l1"),
         "model: rare steps as they come": replace(base, rare_share=None),
-        "model: the newest 10 episodes only": replace(base, replay_capacity=10 * base.steps),
     }
     for widths in ((4, 4), (32,)):
         variants[f"model: layers of {widths}"] = replace(base, model_widths=widths)
@@ -86,7 +85,8 @@ def other_dreams(base: Options) -> dict[str, Options]:
         variants[f"dreams of {length} step(s), as many steps"] = changed
     for count in (100, 1600):
         name = f"{count} dreams an episode, not {base.dream_episodes}"
-        variants[name] = replace(base, dream_episodes=count)
+        kept = base.agent.fake_capacity * count // base.dream_episodes
+        variants[name] = replace(_agent(base, fake_capacity=kept), dream_episodes=count)
     for share in (0.25, 0.9):
         variants[f"{share:.0%} of a batch dreamed"] = _agent_hparams(base, fake_share=share)
     for updates in (100, 800):
@@ -95,7 +95,12 @@ def other_dreams(base: Options) -> dict[str, Options]:
     doubt = replace(base.hparams, disagreement_threshold=0.5)
     return variants | {
         "dreams broken off where half a pixel is in doubt": replace(base, hparams=doubt),
-        "the newest 10 real episodes only": _agent(base, capacity=10 * base.steps),
+        "the agent learns from the newest 10 real episodes only": _agent(
+            base, capacity=10 * base.steps
+        ),
+        "model and dreams know the newest 10 real episodes only": replace(
+            base, replay_capacity=10 * base.steps
+        ),
         "dreams of the newest 2 real episodes only": _agent(
             base, fake_capacity=2 * base.dream_episodes * base.dream_steps
         ),

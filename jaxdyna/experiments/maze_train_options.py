@@ -172,8 +172,9 @@ def dyna_config(options: Options) -> DynaConfig:
 def agent_config(options: Options) -> DQNConfig:
     """DQN's counts, with room for what this run can add to its replays and no more."""
     real = options.episodes * options.steps
-    fake = options.dream_updates * options.dream_episodes * options.dream_steps
+    dreams = options.dream_updates * options.dream_episodes
     agent = options.agent
+    fake_capacity = max(agent.fake_capacity, dreams * options.dream_steps)
     networks = {
         "convolutions": ConvolutionalQ(len(MOVES), options.convolutions, options.dense),
         "glimpse": GlimpseQ(len(MOVES)),
@@ -183,10 +184,8 @@ def agent_config(options: Options) -> DQNConfig:
         network=networks[options.network],
         capacity=max(min(agent.capacity, real), options.steps),
         episodes=min(agent.episodes, options.episodes),
-        fake_capacity=max(agent.fake_capacity, fake),
-        fake_episodes=max(
-            agent.fake_episodes, agent.fake_capacity // options.dream_steps, options.dream_episodes
-        ),
+        fake_capacity=fake_capacity,
+        fake_episodes=max(agent.fake_episodes, fake_capacity // options.dream_steps, dreams),
     )
 
 

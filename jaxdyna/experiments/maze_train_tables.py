@@ -62,7 +62,8 @@ def method(options: Options) -> str:
             f"each from any real stack of frames{cut}, {hparams.epsilon_fake:.0%} of their actions "
             f"random; then {agent.fake_updates} updates on batches of which "
             f"{hparams.fake_share:.0%} is dreamed. Once there are dreams, the updates after a real "
-            "episode draw them as well.",
+            f"episode draw them as well. The newest {agent.fake_capacity:,} dreamed steps, also of "
+            f"earlier models, and the newest {agent.capacity:,} real ones are kept.",
             CONTROLS,
             *_planners(options),
             f"- Not the paper's, or not said there: {_differences(options)}.",
@@ -109,9 +110,11 @@ def _differences(options: Options) -> str:
         f"a discount of {hparams.discount:g} (the authors' code has 1)": hparams.discount < 1,
         "directed exploration": agent.drift > 0,
         "exploring until a reward": agent.explore_until_rewarded,
+        "no exploring in the end": hparams.epsilon_last == 0,
         "the number of updates (the authors' code makes one a real step)": True,
         "several short dreams after each real episode, which begin at replayed frames": True,
-        "a model of local convolutions instead of Fig. 4": options.model == "local",
+        "a model of local convolutions instead of Fig. 4, its pixels lit from 0.5 on (the "
+        "paper's from 0.2)": options.model == "local",
         "rewards read off the predicted picture as a sum over its cells": True,
         "rare steps drawn more often for the model": options.rare_share is not None,
         f"N = {options.real_first} (the paper's is {PAPER_N})": options.real_first != PAPER_N,

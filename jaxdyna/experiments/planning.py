@@ -50,13 +50,14 @@ class Options(VariantOptions):
     """A look at everything in two minutes: few runs, few budgets, a small board."""
     seeds: int = 20
     """Runs of every arm on CartPole."""
-    episodes: int = 300
+    episodes: int = 150
     """Real episodes of a run at the most."""
     arms: tuple[str, ...] = (
-        "dyna", "mpc_init", "dyna, 20 model updates", "mpc_init, 20 model updates",
-        "dyna, 5 model updates", "mpc_init, 5 model updates", "mpc", "model_free",
+        "dyna", "mpc_init", "dyna, 20 model updates", "mpc_init, 20 model updates", "mpc",
+        "model_free",
     )  # fmt: skip
-    """Names of the arms to play on CartPole; there is also mcts."""
+    """Names of the arms to play on CartPole; there are also mcts, and dyna and mpc_init with 5
+    model updates."""
     stop_after_solved: int | None = 0
     """Episodes an arm plays on once all its seeds have solved; None plays all of them."""
     grounds: tuple[str, ...] = tuple(GROUNDS)

@@ -80,7 +80,7 @@ def measure(
     for contender in contenders:
         returns = play(ground, contender.act)
         pairs = np.stack([returns, best], axis=-1)
-        apart = pairs.sum(1) if len(pairs) > 1 else pairs[0]  # by run, or else by episode
+        apart = pairs.sum(1) if len(pairs) > 2 else pairs.reshape(-1, 2)  # by run or episode
         said = f"{contender.label}, {contender.steps} steps"
         rows.append(
             {

@@ -54,12 +54,12 @@ class Sizes:
         small_maze: a Maze of 6x6 cells.
     """
 
-    runs: tuple[int, int] = (8, 4)
-    episodes: tuple[int, int] = (30, 30)
-    played: tuple[int, int] = (3, 3)
-    candidates: tuple[int, ...] = (4, 16, 64)
-    simulations: tuple[int, ...] = (8, 32, 96)
-    far_candidates: tuple[int, ...] = (16, 128, 1024)
+    runs: tuple[int, int] = (8, 2)
+    episodes: tuple[int, int] = (30, 25)
+    played: tuple[int, int] = (3, 6)
+    candidates: tuple[int, ...] = (8, 64)
+    simulations: tuple[int, ...] = (8, 48)
+    far_candidates: tuple[int, ...] = (16, 256)
     batch: int = 16
     small_maze: bool = False
 
@@ -140,7 +140,6 @@ def maze_ground(key: jax.Array, sizes: Sizes) -> tuple[Ground, Iterator[Contende
         for count in sizes.simulations:
             config = SearchConfig(count, discount=discount)
             make = partial(muzero, config=config)
-            yield in_true("MCTS", env, env_params, make, count, untold)
             yield in_true("MCTS, learned values", env, env_params, make, count, told)
             yield in_model("MCTS, learned values", arm, make, count, values)
 

@@ -75,10 +75,10 @@ class PlanningReport(VariantsReport):
             "(decisions.png)",
             "Share: of the most that could be had in the same episodes (the Maze's by value "
             "iteration, CartPole's 200), with its 95% interval over the runs that learned (over "
-            "episodes where there is one). Steps: of the world that is planned in, a decision. "
-            "Milliseconds: of one call for one environment, and "
-            f" a decision's part of a call for {batch}; a jitted call takes some hundredths "
-            "of a millisecond whatever it does.",
+            "the episodes where there are one or two). Steps: of the world that is planned in, a "
+            "decision. Milliseconds: of one call for one environment, and a decision's part of a "
+            f"call for {batch}; a jitted call takes some hundredths of a millisecond whatever it "
+            "does.",
             markdown_table(*_long(self.budgets)),
             GROUNDS_SAID,
         ]
@@ -130,8 +130,8 @@ GROUNDS_SAID = (
     "some episodes with what each run has learned; times are the first run's. MPC is random "
     "shooting. «To the goal» looks ahead half as far again as the goal is and is told nothing; a "
     "planner with learned values looks a few steps ahead and takes the run's Q-values for what "
-    "comes after. MCTS is MuZero's search; without learned values in the Maze its leaves are "
-    "worth nothing, in CartPole what a random episode from them earns."
+    "comes after. MCTS is MuZero's search; in CartPole its leaves are worth what a random "
+    "episode from them earns."
 )
 
 

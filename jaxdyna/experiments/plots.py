@@ -74,7 +74,8 @@ def learning_curves(
         panel.set_xlabel("real episodes")
         low = values[:, -1].mean() < threshold / 2
         panel.legend(
-            loc="center right" if low else "lower right",
+            loc="upper left" if low else "lower right",
+            bbox_to_anchor=(0, 0.9) if low else None,
             fontsize=8,
             framealpha=0.85,
             edgecolor="none",

@@ -42,7 +42,7 @@ def decisions(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         panel.set_title(name, loc="left", fontsize=10)
         panel.axhline(1, color="#888888", linewidth=0.8, linestyle=":")
         panel.spines[["top", "right"]].set_visible(False)
-        panel.legend(fontsize=7, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.15))
+        panel.legend(fontsize=7, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.2))
     panels[0, 0].set_ylabel("share of what could be had (bar: 95%)")
     save(figure, path)
 
