@@ -100,9 +100,11 @@ def test_the_squared_error_blurs_and_the_adversary_minds(batch):
     """Two places, one prediction: alone half a dot in each; with the adversary no longer."""
     shown = {}
     model = make(ADVERSARY)
+    order = np.argsort(batch.next_obs[:, 3, 2, 9])
+    few = jax.tree.map(lambda leaf: leaf[np.r_[order[:8], order[-8:]]], batch)  # half in each
     for weight in (0.0, 10.0):
         hparams = AdversarialHParams(5e-3, jnp.float32(weight), 5e-3)
-        state, metrics = train(model, hparams, batch, 300)
+        state, metrics = train(model, hparams, few, 300)
         frame = model.predict(
             state.params, batch.obs[0], batch.action[0], jax.random.key(2)
         ).next_obs[..., 9:]

@@ -50,7 +50,7 @@ class Options(VariantOptions):
     """A look at everything in two minutes: few runs, few budgets, a small board."""
     seeds: int = 20
     """Runs of every arm on CartPole."""
-    episodes: int = 150
+    episodes: int = 180
     """Real episodes of a run at the most."""
     arms: tuple[str, ...] = (
         "dyna", "mpc_init", "dyna, 20 model updates", "mpc_init, 20 model updates", "mpc",

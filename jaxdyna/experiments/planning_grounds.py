@@ -56,8 +56,8 @@ class Sizes:
 
     runs: tuple[int, int] = (8, 2)
     episodes: tuple[int, int] = (30, 25)
-    played: tuple[int, int] = (3, 6)
-    candidates: tuple[int, ...] = (8, 64)
+    played: tuple[int, int] = (3, 5)
+    candidates: tuple[int, ...] = (8, 32)
     simulations: tuple[int, ...] = (8, 48)
     far_candidates: tuple[int, ...] = (16, 256)
     batch: int = 16
@@ -65,10 +65,11 @@ class Sizes:
 
 
 def learned(arm: Arm, key: jax.Array, runs: int) -> DynaState:
-    """So many runs of the arm to their end, ``[runs, ...]``."""
+    """So many runs of the arm to their end, ``[runs, ...]``; without keys: nothing follows."""
     train = make_train(arm.dyna._replace(diagnose=None, watch=None), arm.config)
-    states = sweep(train, jax.random.split(key, runs), arm.hparams, block=1)[0]
-    return jax.device_put(jax.tree.map(lambda leaf: leaf[0], states), jax.devices()[0])
+    states: Any = sweep(train, jax.random.split(key, runs), arm.hparams, block=1)[0]
+    ended = replace(states, key=None)
+    return jax.device_put(jax.tree.map(lambda leaf: leaf[0], ended), jax.devices()[0])
 
 
 def cartpole_ground(key: jax.Array, sizes: Sizes) -> tuple[Ground, Iterator[Contender]]:

@@ -217,8 +217,8 @@ def smoothing_window(episodes: int) -> int:
 
 
 def colour(name: str) -> str:
-    """The colour of an arm, wherever it appears."""
-    return COLOURS.get(name, COLOURS["dyna"])
+    """The colour of an arm, wherever it appears; "arm, changed so" has the arm's."""
+    return COLOURS.get(name.split(",", maxsplit=1)[0], COLOURS["dyna"])
 
 
 def running_mean(values: np.ndarray, window: int) -> np.ndarray:
