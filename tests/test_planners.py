@@ -21,6 +21,7 @@ from jaxdyna.planners import (
     ShootingConfig,
     cross_entropy,
     gumbel_muzero,
+    mpc,
     muzero,
     random_shooting,
     rollout_value,
@@ -326,3 +327,9 @@ def test_without_mctx_it_says_what_to_install(monkeypatch):
     for make in (muzero, gumbel_muzero):
         with pytest.raises(ImportError, match=r'pip install "jaxdyna\[planning\]"'):
             make(WORLD, SearchConfig())
+
+
+@pytest.mark.parametrize("temperature", [0.0, 5.0, float("inf")])
+def test_an_action_that_no_sequence_begins_with_is_not_chosen(temperature):
+    worth = mpc._worth(jnp.zeros(8, int), jnp.full(8, 30.0), 2, temperature)
+    np.testing.assert_allclose(worth, [30.0, -np.inf], rtol=1e-6)

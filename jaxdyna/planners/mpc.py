@@ -200,7 +200,8 @@ def _worth(
     if math.isinf(temperature):
         mean = jnp.where(own, returns, 0).sum(-1) / jnp.maximum(own.sum(-1), 1)
         return jnp.where(own.any(-1), mean, -jnp.inf)
-    return temperature * (jax.nn.logsumexp(tried / temperature, -1) - jnp.log(own.sum(-1)))
+    count = jnp.maximum(own.sum(-1), 1)  # log 0 would make NaN of an action not tried
+    return temperature * (jax.nn.logsumexp(tried / temperature, -1) - jnp.log(count))
 
 
 def _first_candidates(num_actions: int, config: ShootingConfig, key: Key) -> jax.Array:
