@@ -97,7 +97,7 @@ def cartpole_ground(key: jax.Array, sizes: Sizes) -> tuple[Ground, Iterator[Cont
             make = partial(muzero, config=replace(options.mcts, simulations=count))
             steps = count * (1 + depth)
             told = Guide(value=rollout_value(env, env_params, depth, discount))
-            yield in_true("MCTS", env, env_params, make, steps, lambda state, told=told: told)
+            yield in_true("MCTS", env, env_params, make, steps, always(told))
             guided = random_episodes(arm.dyna, discount, depth)
             yield in_model("MCTS", arm, make, steps, guided)
 
@@ -155,6 +155,11 @@ def policy(arm: Arm, **changes: Any) -> Contender:
         return arm.dyna.agent.act(state.agent, obs, key, hparams)
 
     return Contender("policy", "-", 0, act)
+
+
+def always(guide: Guide) -> Callable[[DynaState], Guide]:
+    """The same whatever a run has learned."""
+    return lambda state: guide
 
 
 def untold(state: DynaState) -> Guide:
