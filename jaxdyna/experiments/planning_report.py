@@ -153,7 +153,8 @@ def sentences(rows: list[Results]) -> list[str]:
             )
         lines.append(
             f"{name}: the policy decides in {policy['ms']:.2g} ms and earns "
-            f"{policy['share']:.3f} of what could be had; on the learned model {'; '.join(said)}."
+            f"{policy['share']:.3f} of what could be had"
+            + (f"; on the learned model {'; '.join(said)}." if said else ".")
         )
     return lines
 
