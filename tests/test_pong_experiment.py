@@ -17,7 +17,7 @@ from jaxdyna.experiments.pong_judge import OBJECTS, counts, precision, recall
 from jaxdyna.experiments.pong_options import Options, game_of, params_of
 from jaxdyna.experiments.pong_train import make_arms, points
 from jaxdyna.experiments.pong_train_options import PAPER as TRAIN
-from jaxdyna.networks import ShiftDynamics, SignedReward
+from jaxdyna.networks import SignedReward
 from jaxdyna.types import Prediction, Transition
 
 OPTIONS = Options(steps=60, horizon=10)
@@ -156,20 +156,6 @@ def test_the_real_game_is_collected():
     assert sizes[:, OBJECTS["own paddle"]].all() and sizes[:, OBJECTS["opponent"]].all()
     seen = take(pong_ale.VIEW, jax.tree.map(jnp.array, real), jnp.array([1]), jnp.array([19]))
     np.testing.assert_array_equal(seen.next_obs[0, ..., -3:], real.world[1, 20])
-
-
-def test_a_sharp_network_commits_itself_once_trained():
-    """Untrained it believes in every shift a little; sharp, in one."""
-    stack = jnp.zeros((1, 8, 8, 8)).at[0, 3, 3, 6].set(1).at[0, 5, 5, 7].set(1)
-    action = jnp.zeros((1, 3))
-    sharp = ShiftDynamics(2, (2, 2), (8,), sharp=True)
-    params = jax.jit(sharp.init, static_argnums=3)(jax.random.key(0), stack, action, True)
-    believed = {
-        train: np.asarray(jax.nn.sigmoid(sharp.apply(params, stack, action, train)[0]))
-        for train in (True, False)
-    }
-    assert (believed[False] > 0.3).sum() == 2
-    assert (believed[True] > 0.3).sum() == 0
 
 
 def test_a_signed_reward_is_a_difference_of_probabilities():

@@ -24,9 +24,12 @@ from jaxdyna.experiments.pong_options import (
 from jaxdyna.models import (
     AdversarialHParams,
     PixelHParams,
+    RectangleConfig,
     discriminator,
     frame_probability,
     pixels,
+    rectangle_probability,
+    rectangles,
 )
 from jaxdyna.types import DynamicsModel, Key
 
@@ -117,6 +120,10 @@ def make_model(options: Options, arm: str) -> tuple[DynamicsModel, Asked]:
     """The arm's model, and what is asked of it."""
     game, config = game_of(options), config_of(options, arm)
     shape, actions = game.frame_shape, game.num_actions
+    if isinstance(config, RectangleConfig):
+        believe = rectangle_probability(shape, actions, config)
+        model = rectangles(shape, actions, config)
+        return model, Asked(believe, model.predict, 0.5)
     adversary = discriminator(shape, adversary_config(options)) if arm == "adversarial" else None
     model = pixels(shape, actions, config, adversary=adversary)
     threshold = 0.5 if config.threshold is None else config.threshold

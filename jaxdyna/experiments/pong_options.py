@@ -10,8 +10,8 @@ from jaxdyna.envs import CHANNELS, Pong, PongParams
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.maze_options import decayed_adam
 from jaxdyna.losses import bce, l1, l2
-from jaxdyna.models import AdversaryConfig, PixelConfig
-from jaxdyna.networks import Discriminator, EncoderDecoder, Patched, ShiftDynamics
+from jaxdyna.models import AdversaryConfig, PixelConfig, RectangleConfig
+from jaxdyna.networks import Discriminator, EncoderDecoder, Patched
 
 DREAM_FROM = 10
 """Step of a held-out episode from which the first dream begins."""
@@ -70,7 +70,8 @@ class Options:
     ones to one that follows the ball."""
     arms: tuple[ModelName, ...] = ("l2", "l1", "bce", "adversarial", "ours")
     """l2, l1, bce: Fig. 4 scaled to the frame, under that loss; adversarial: l2 and the adversarial
-    loss (the paper's); ours: each object moves as a whole."""
+    loss (the paper's); ours: categories for the places of
+    each object's edges."""
     out: Path | None = None
     """Folder for the results; runs/pong-model by default."""
     resume: bool = False
@@ -95,7 +96,9 @@ class Options:
     adversarial_weight: float = 1.0
     """The paper's lambda, beside half the squared error summed over a frame."""
     hidden: tuple[int, ...] = (256, 256)
-    """Widths of the perceptron of ours."""
+    """Widths of the perceptrons of ours."""
+    dropout: float = 0.0
+    """Share of the features that a gradient step of ours does without."""
     held_out: int = 20
     """New episodes of the mixed policy that models are judged on."""
     horizon: int = 30
@@ -186,15 +189,15 @@ def training_of(options: Options, arm: str) -> Training:
     return options.ours if arm == "ours" else options.paper
 
 
-def config_of(options: Options, arm: str) -> PixelConfig:
+def config_of(options: Options, arm: str) -> PixelConfig | RectangleConfig:
     """The model of this arm. Under L1, L2 and with the adversary frames are in shades, and count as
     lit from one half on; the cross-entropy has the paper's threshold of 0.2.
     """
     optimizer = decayed_adam(training_of(options, arm).weight_decay)
     if arm == "ours":
         reach = (48 // options.scale, 12 // options.scale + 1)
-        shifts = ShiftDynamics(3, reach, tuple(options.hidden), sharp=True)
-        return PixelConfig(shifts, bce, 0.5, None, optimizer=optimizer)
+        hidden, dropout = tuple(options.hidden), options.dropout
+        return RectangleConfig(reach, hidden=hidden, dropout=dropout, optimizer=optimizer)
     coder = EncoderDecoder(
         3 * options.patch**2, tuple(options.widths), tuple(options.kernels), options.dense
     )

@@ -13,6 +13,7 @@ from jaxdyna.experiments import pong_scores as scores
 from jaxdyna.experiments.pong_judge import OBJECTS, recall
 from jaxdyna.experiments.pong_options import Options, config_of, game_of, training_of
 from jaxdyna.experiments.report import Results, markdown_table
+from jaxdyna.models import RectangleConfig
 
 Curves = Mapping[str, Mapping[str, np.ndarray]]
 
@@ -114,11 +115,20 @@ def _data_said(options: Options) -> str:
 
 def _setting(options: Options, arm: str) -> str:
     config, training = config_of(options, arm), training_of(options, arm)
+    trained = (
+        f"{training.updates:,} updates on batches of {training.batch}, AdamW from "
+        f"{training.learning_rate:g} down along a cosine, weight decay {training.weight_decay:g}"
+    )
+    if isinstance(config, RectangleConfig):
+        return (
+            "the two edges of each object along each axis, a category for each row or column that "
+            "one may come to lie in; the paddles first, then the ball, told where they have gone; "
+            f"perceptrons of {options.hidden}, dropout {options.dropout:g}; {trained}; dreams take "
+            "the likeliest places"
+        )
     network = (
-        f"ShiftDynamics with a perceptron of {options.hidden}, {scores.SAID[arm]}"
-        if arm == "ours"
-        else f"Fig. 4 on patches of {options.patch}x{options.patch} pixels, {options.widths} "
-        f"channels, kernels {options.kernels}, dense {options.dense}, {scores.SAID[arm]}"
+        f"Fig. 4 on patches of {options.patch}x{options.patch} pixels, {options.widths} channels, "
+        f"kernels {options.kernels}, dense {options.dense}, {scores.SAID[arm]}"
     )
     if arm == "adversarial":
         network += (
@@ -126,11 +136,7 @@ def _setting(options: Options, arm: str) -> str:
             "sign would reward being seen through)"
         )
     shades = "in shades, lit from" if config.shades else "lit above"
-    return (
-        f"{network}; {training.updates:,} updates on batches of {training.batch}, AdamW from "
-        f"{training.learning_rate:g} down along a cosine, weight decay {training.weight_decay:g}; "
-        f"{shades} {config.threshold:g}"
-    )
+    return f"{network}; {trained}; {shades} {config.threshold:g}"
 
 
 def _picture(out: Path, name: str, said: str) -> str:

@@ -34,7 +34,14 @@ from jaxdyna.experiments.pong_train_options import (
 from jaxdyna.experiments.pong_train_report import PongReport
 from jaxdyna.experiments.run import Arm
 from jaxdyna.experiments.session import Session
-from jaxdyna.models import AdversaryConfig, PixelConfig, discriminator, pixels
+from jaxdyna.models import (
+    AdversaryConfig,
+    PixelConfig,
+    RectangleConfig,
+    discriminator,
+    pixels,
+    rectangles,
+)
 from jaxdyna.types import Transition
 
 PROG = "python -m jaxdyna.experiments.pong"
@@ -46,7 +53,7 @@ class Parts(NamedTuple):
 
     game: Pong
     agent: DQNConfig
-    model: PixelConfig
+    model: PixelConfig | RectangleConfig
     adversary: AdversaryConfig | None
 
 
@@ -54,9 +61,12 @@ class Parts(NamedTuple):
 def make_dyna(parts: Parts) -> Dyna:
     """The parts of an arm that dreams: one object, and so one program, for the same settings."""
     env, shape = FrameStack(parts.game), parts.game.frame_shape
-    judge = None if parts.adversary is None else discriminator(shape, parts.adversary)
     agent = dqn(shape, env.num_actions, parts.agent)
-    model = pixels(shape, env.num_actions, parts.model, adversary=judge)
+    if isinstance(parts.model, RectangleConfig):
+        model = rectangles(shape, env.num_actions, parts.model)
+    else:
+        judge = None if parts.adversary is None else discriminator(shape, parts.adversary)
+        model = pixels(shape, env.num_actions, parts.model, adversary=judge)
     return frame_dyna(env, agent, model, points)
 
 

@@ -13,8 +13,8 @@ from jaxdyna.experiments import cli
 from jaxdyna.experiments.maze_train_options import SHARES
 from jaxdyna.experiments.pong_options import DREAM_FROM, config_of, game_of, params_of
 from jaxdyna.experiments.pong_options import Options as Frames
-from jaxdyna.models import AdversarialHParams, PixelConfig
-from jaxdyna.networks import GlimpseQ, SignedReward
+from jaxdyna.models import AdversarialHParams, PixelConfig, RectangleConfig
+from jaxdyna.networks import GlimpseQ, PlaceQ, SignedReward
 from jaxdyna.statistics import SolveRule
 
 ArmName = Literal[
@@ -63,6 +63,8 @@ class Options:
     """The game's frames from a point to the next serve (63 in the real game)."""
     real_first: int = 20
     """N of the paper: real episodes before the first dream."""
+    look: Literal["places", "glimpses"] = "places"
+    """What the agent's network takes of its frames: where each colour is, or glimpses as well."""
     glimpse: int = 7
     """Pixels a side of the agent's glimpses, odd."""
     patch: int = 4
@@ -74,9 +76,11 @@ class Options:
     dense: int = 512
     """Width of its dense layer."""
     hidden: tuple[int, ...] = (256, 256)
-    """Widths of the perceptron of our model."""
+    """Widths of the perceptrons of our model."""
+    dropout: float = 0.3
+    """Share of the features that a gradient step of our model does without."""
     reward_weight: float = 5.0
-    """Weight of the reward's squared error beside the frame's summed loss, in all models."""
+    """Weight of the reward's squared error beside the frame's summed loss, in the paper's models."""
     model_updates: int = 100
     """Gradient steps of the model after each real episode."""
     model_batch: int = 32
@@ -143,7 +147,7 @@ def frames_of(options: Options) -> Frames:
     """What `pong_options` is to be told for the same game and models."""
     names = (
         "scale", "frame_skip", "steps", "serve_delay", "patch", "widths", "kernels", "dense",
-        "hidden",
+        "hidden", "dropout",
     )  # fmt: skip
     same = {name: getattr(options, name) for name in names}
     return Frames(**same, horizon=1, dreams=1)
@@ -166,10 +170,14 @@ def dyna_config(options: Options) -> DynaConfig:
 def agent_config(options: Options) -> DQNConfig:
     """DQN's counts, with room for what this run can add to its replays and no more."""
     agent, fake = options.agent, options.dream_episodes * options.dream_steps
+    actions = game_of(options).num_actions
+    network: Any = PlaceQ(actions)
+    if options.look == "glimpses":
+        network = GlimpseQ(actions, size=options.glimpse)
     capacity = max(agent.fake_capacity, fake)
     return replace(
         agent,
-        network=GlimpseQ(game_of(options).num_actions, size=options.glimpse),
+        network=network,
         capacity=max(min(agent.capacity, options.episodes * options.steps), options.steps),
         episodes=min(agent.episodes, options.episodes),
         fake_capacity=capacity,
@@ -177,9 +185,11 @@ def agent_config(options: Options) -> DQNConfig:
     )
 
 
-def model_config(options: Options, model: str) -> PixelConfig:
+def model_config(options: Options, model: str) -> PixelConfig | RectangleConfig:
     """The settings of a model of `pong_options.ModelName`, with a head for the reward."""
     config = config_of(frames_of(options), model)
+    if isinstance(config, RectangleConfig):
+        return replace(config, draws=True)
     return replace(config, reward=SignedReward(), reward_weight=options.reward_weight)
 
 

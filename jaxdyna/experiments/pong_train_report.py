@@ -199,9 +199,10 @@ def _method(options: Options) -> str:
             f"for {hparams.epsilon_hold:g} episodes, {hparams.epsilon_last:.0%} after "
             f"{hparams.epsilon_episodes:g} more.",
             f"- Models: {options.model_updates} updates after each real episode on batches of "
-            f"{options.model_batch}{often}. `dyna`: each object moves as a whole. `dyna_l2`: Fig. "
+            f"{options.model_batch}{often}. `dyna`: categories for the places of each "
+            f"object's edges, dropout {options.dropout:g}, drawn in dreams. `dyna_l2`: Fig. "
             "4 on patches, squared error, in shades; `dyna_adversarial`: with the adversarial loss "
-            "beside it. All read the reward off their joint features.",
+            "beside it. Both read the reward off their joint features.",
             f"- Dreams: from real episode {options.real_first} on, after each, "
             f"{options.dream_episodes} of {options.dream_steps} steps from any real stack of "
             f"frames, {hparams.epsilon_fake:.0%} of their actions random; then "

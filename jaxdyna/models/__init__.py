@@ -24,6 +24,12 @@ from jaxdyna.models.pixels import (
     frame_probability,
     pixels,
 )
+from jaxdyna.models.rectangles import (
+    RectangleConfig,
+    RectangleState,
+    rectangle_probability,
+    rectangles,
+)
 from jaxdyna.models.supervised import (
     SupervisedConfig,
     SupervisedHParams,
@@ -42,6 +48,8 @@ __all__ = [
     "PixelConfig",
     "PixelHParams",
     "PixelState",
+    "RectangleConfig",
+    "RectangleState",
     "SupervisedConfig",
     "SupervisedHParams",
     "SupervisedParams",
@@ -52,6 +60,8 @@ __all__ = [
     "never",
     "pixels",
     "probability_rule",
+    "rectangle_probability",
+    "rectangles",
     "sample_rule",
     "supervised",
     "threshold_rule",

@@ -10,7 +10,8 @@ from jaxdyna.networks.frames import (
 )
 from jaxdyna.networks.layers import MLP, Convolution
 from jaxdyna.networks.patches import Discriminator, Patched, from_patches, to_patches
-from jaxdyna.networks.shifts import ShiftDynamics
+from jaxdyna.networks.places import PlaceQ
+from jaxdyna.networks.rectangles import RectangleDynamics
 from jaxdyna.networks.values import ConvolutionalQ, GlimpseQ, glimpses
 
 __all__ = [
@@ -25,7 +26,8 @@ __all__ = [
     "LocalDynamics",
     "LocalReward",
     "Patched",
-    "ShiftDynamics",
+    "PlaceQ",
+    "RectangleDynamics",
     "SignedReward",
     "from_patches",
     "glimpses",

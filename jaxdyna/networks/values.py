@@ -37,7 +37,7 @@ class ConvolutionalQ(nn.Module):
         for features in self.widths[1:]:
             x = nn.relu(Convolution(features, 3, 1)(x))
         x = nn.relu(nn.LayerNorm()(nn.Dense(self.dense)(x.reshape(count, -1))))
-        return _dueling(nn.Dense(self.num_actions + 1)(x))
+        return dueling(nn.Dense(self.num_actions + 1)(x))
 
 
 class GlimpseQ(nn.Module):
@@ -74,7 +74,7 @@ class GlimpseQ(nn.Module):
         seen = jnp.concatenate([seen, place], axis=-1)
         for features in self.hidden:
             seen = nn.relu(nn.LayerNorm()(nn.Dense(features)(seen)))
-        return _dueling(nn.Dense(self.num_actions + 1)(seen))
+        return dueling(nn.Dense(self.num_actions + 1)(seen))
 
 
 def glimpses(x: jax.Array, by_row: jax.Array, by_column: jax.Array, size: int) -> jax.Array:
@@ -100,7 +100,7 @@ def glimpses(x: jax.Array, by_row: jax.Array, by_column: jax.Array, size: int) -
     return jnp.einsum("jnch,nhicf->nhijf", shifted(by_column), strips)
 
 
-def _dueling(values: jax.Array) -> jax.Array:
+def dueling(values: jax.Array) -> jax.Array:
     """Values of actions from their mean and what each is above it, ``[N, 1 + actions]``."""
     mean, above = values[:, :1], values[:, 1:]
     return mean + above - above.mean(-1, keepdims=True)
