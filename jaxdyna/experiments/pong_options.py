@@ -70,8 +70,7 @@ class Options:
     ones to one that follows the ball."""
     arms: tuple[ModelName, ...] = ("l2", "l1", "bce", "adversarial", "ours")
     """l2, l1, bce: Fig. 4 scaled to the frame, under that loss; adversarial: l2 and the adversarial
-    loss (the paper's); ours: categories for the places of
-    each object's edges."""
+    loss (the paper's); ours: categories for the places of each object's edges."""
     out: Path | None = None
     """Folder for the results; runs/pong-model by default."""
     resume: bool = False

@@ -80,7 +80,7 @@ class Options:
     dropout: float = 0.3
     """Share of the features that a gradient step of our model does without."""
     reward_weight: float = 5.0
-    """Weight of the reward's squared error beside the frame's summed loss, in the paper's models."""
+    """Weight of the reward's squared error beside the frame's loss, in the paper's models."""
     model_updates: int = 100
     """Gradient steps of the model after each real episode."""
     model_batch: int = 32
