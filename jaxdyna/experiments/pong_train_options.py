@@ -64,7 +64,7 @@ class Options:
     real_first: int = 20
     """N of the paper: real episodes before the first dream."""
     look: Literal["places", "glimpses"] = "places"
-    """What the agent's network takes of its frames: where each colour is, or glimpses as well."""
+    """What the agent's network takes of its frames: where each colour is, or glimpses of it."""
     glimpse: int = 7
     """Pixels a side of the agent's glimpses, odd."""
     patch: int = 4

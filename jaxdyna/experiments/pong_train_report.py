@@ -186,14 +186,17 @@ def _method(options: Options) -> str:
     side = game_of(options).frame_shape[0]
     rare = options.rare_share
     often = "" if rare is None else f", at least {rare:.0%} of them points won and lost"
+    sees = "where each colour is and how it moves"
+    if options.look == "glimpses":
+        sees = f"glimpses of {options.glimpse}x{options.glimpse}"
     return "\n".join(
         [
             f"- Frames of {side}x{side}, each object in a channel of its own; a ball is served "
             f"{options.serve_delay} of the game's frames after a point (63 in the real game).",
             f"- Agent, in all arms: {'Double ' if agent.double else ''}DQN on four stacked frames "
-            f"by glimpses of {options.glimpse}x{options.glimpse}, {agent.n_step}-step targets, "
-            f"discount {hparams.discount:g}, Adam at {hparams.learning_rate:g}, batches of "
-            f"{agent.batch} drawn by priority with an exponent of {hparams.priority_exponent:g}; "
+            f"by {sees}, {agent.n_step}-step targets, discount {hparams.discount:g}, Adam at "
+            f"{hparams.learning_rate:g}, batches of {agent.batch} drawn by priority with an "
+            f"exponent of {hparams.priority_exponent:g}; "
             f"{agent.updates} updates after a real episode.",
             f"- Exploration, in all arms: {hparams.epsilon_first:.0%} of the actions are random "
             f"for {hparams.epsilon_hold:g} episodes, {hparams.epsilon_last:.0%} after "
