@@ -176,6 +176,8 @@ def test_arms_differ_by_what_their_names_say():
         assert dream.truth == (OBJECTS[thing],) and arms[name].dyna.model is not None
         assert arms[name].dyna.model is arms["dyna_l2"].dyna.model
     assert arms["model_free"].dyna.agent is arms["dyna"].dyna.agent
+    assert arms["more_updates"].dyna.agent is not arms["dyna"].dyna.agent
+    assert arms["more_updates"].dyna.model is arms["more_updates"].dyna.dream is None
 
 
 TINY_TRAIN = [

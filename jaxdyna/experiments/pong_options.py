@@ -63,7 +63,7 @@ class Options:
     """Runs of every arm, all in one jitted program."""
     seed: int = 0
     """Base seed of all runs."""
-    episodes: int = 400
+    episodes: int = 1000
     """Episodes of each policy that a model is trained on."""
     policies: tuple[Policy, ...] = POLICIES
     """Whose episodes: random: every action at random; mixed: players of all strengths, from random
@@ -96,7 +96,7 @@ class Options:
     """The paper's lambda, beside half the squared error summed over a frame."""
     hidden: tuple[int, ...] = (256, 256)
     """Widths of the perceptrons of ours."""
-    dropout: float = 0.0
+    dropout: float = 0.1
     """Share of the features that a gradient step of ours does without."""
     held_out: int = 20
     """New episodes of the mixed policy that models are judged on."""
@@ -106,7 +106,7 @@ class Options:
     """Dreams in each held-out episode."""
     paper: Training = field(default_factory=lambda: Training(3000, 32, 1e-3))
     """Training of Fig. 4."""
-    ours: Training = field(default_factory=lambda: Training(8000, 64, 3e-3))
+    ours: Training = field(default_factory=lambda: Training(6000, 256, 2e-3, 0.1))
     """Training of ours."""
 
     def __post_init__(self) -> None:
@@ -178,7 +178,7 @@ _FEW: dict[str, Any] = {
     "horizon": 20,
     "dreams": 3,
     "paper": Training(200, 16, 2e-3),
-    "ours": Training(1000, 32, 3e-3),
+    "ours": Training(1000, 64, 2e-3, 0.1),
 }
 QUICK = {"paper": replace(PAPER, **_FEW), "lean": replace(LEAN, **_FEW)}
 

@@ -108,8 +108,11 @@ def make_arms(options: Options) -> dict[str, Arm]:
     untrained = replace(hparams, model_trains=False, disagreement_threshold=math.inf)
     alone = ours._replace(model=None, dream=None, diagnose=None)
     oracle = ours._replace(dream=guided(ours, None), diagnose=None)
+    busier = replace(agent, updates=agent.updates + agent.fake_updates)
+    more = make_dyna(Parts(game, busier, model_config(options, "ours"), None))
     arms = {
         "model_free": Arm(alone, config, hparams),
+        "more_updates": Arm(alone._replace(agent=more.agent), config, hparams),
         "dyna": Arm(ours, config, hparams),
         "dyna_l2": Arm(blurred, config, hparams),
         "dyna_adversarial": Arm(of("adversarial"), config, hparams),

@@ -18,8 +18,8 @@ from jaxdyna.networks import GlimpseQ, PlaceQ, SignedReward
 from jaxdyna.statistics import SolveRule
 
 ArmName = Literal[
-    "model_free", "dyna", "dyna_l2", "dyna_adversarial", "placebo", "oracle", "true_ball",
-    "true_own", "true_opponent",
+    "model_free", "dyna", "dyna_l2", "dyna_adversarial", "placebo", "oracle", "more_updates",
+    "true_ball", "true_own", "true_opponent",
 ]  # fmt: skip
 WINDOW = 20
 LEVEL = 0.0
@@ -45,7 +45,8 @@ class Options:
     """Real episodes of a run at the most."""
     arms: tuple[ArmName, ...] = ("model_free", "dyna_l2", "dyna_adversarial", "dyna")
     """dyna: our model; dyna_l2, dyna_adversarial: the paper's; placebo: ours, never trained;
-    oracle: the true game from the same frames; true_ball, true_own, true_opponent: dyna_l2 with
+    oracle: the true game from the same frames; more_updates: as many updates an episode as dyna
+    makes, all of them on real steps; true_ball, true_own, true_opponent: dyna_l2 with
     one object of its dreams replaced by the truth."""
     out: Path | None = None
     """Folder for the results; runs/pong-PRESET by default."""
