@@ -20,9 +20,9 @@ class PlanningReport(VariantsReport):
 
     budgets: list[Results]
 
-    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+    def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
         """``variants.png``, ``solved.png`` and ``decisions.png``."""
-        super().figures(out, curves)
+        super().figures(out, curves, results)
         known = {
             name: values["real_return"].shape[1] - self.variants.rule.window + 1
             for name, values in curves.items()

@@ -139,7 +139,7 @@ class VariantsReport:
         """What the first dreams were like."""
         return {"first_dreams": report.first_dreams(curves, self.variants.real_first)}
 
-    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+    def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
         """``variants.png``."""
         solved_at = {name: self.solved_at(values) for name, values in curves.items()}
         axis = self.variants.column.replace("_", " ")
