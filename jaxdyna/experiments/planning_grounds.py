@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxdyna.dyna import DynaState, make_advance, make_init
-from jaxdyna.envs import Maze
+from jaxdyna.envs import Maze, MazeParams
 from jaxdyna.experiments import cartpole, maze_train
 from jaxdyna.experiments.cartpole_options import LEAN as CARTPOLE
 from jaxdyna.experiments.cartpole_planners import random_episodes
@@ -21,6 +21,15 @@ from jaxdyna.experiments.maze_train_options import LEAN as MAZE
 from jaxdyna.experiments.maze_train_options import agent_config
 from jaxdyna.experiments.planner_arms import without_guide
 from jaxdyna.experiments.planning_budgets import Contender, Ground
+from jaxdyna.experiments.planning_contenders import (
+    always,
+    by,
+    in_model,
+    in_true,
+    policy,
+    rounds,
+    untold,
+)
 from jaxdyna.experiments.run import Arm
 from jaxdyna.planners import (
     Guide,
@@ -66,6 +75,18 @@ class Sizes:
     far_candidates: tuple[int, ...] = (16, 256)
     batch: int = 16
     board: tuple[int, int, int] = (8, 3, 60)
+
+    def check(self) -> None:
+        """Raises ValueError where a number is no count."""
+        for name, value in vars(self).items():
+            numbers = value if isinstance(value, tuple) else (value,)
+            flag = f"--sizes.{name.replace('_', '-')}"
+            if min(numbers, default=1) < (0 if name == "board" else 1):
+                raise ValueError(f"{flag}: give numbers of at least 1")
+        if not self.maze_episodes:
+            raise ValueError("--sizes.maze-episodes is empty: give one number at least")
+        Maze(*self.board[:2])
+        MazeParams(max_steps=self.board[2])
 
 
 def learned(arm: Arm, key: jax.Array, runs: int, after: Sequence[int]) -> list[DynaState]:
