@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jax
 from rich.console import Console
@@ -95,7 +95,7 @@ QUICK = Options(
         "MCTS (learned world)",
         "MPC, learned values (learned world)",
         "MCTS, learned values (learned world)",
-    ),  # fmt: skip
+    ),
     sizes=Sizes(
         runs=(1, 1),
         cartpole_episodes=15,
@@ -119,7 +119,7 @@ def variants(options: VariantOptions) -> dict[str, Arm]:
     arms = {}
     for said, setup in models.items():
         for name in ("dyna", *IMITATES):
-            arms[f"{name}{said}"] = make_arms(replace(setup, arms=(name,)))[name]
+            arms[f"{name}{said}"] = make_arms(replace(setup, arms=(cast(Any, name),)))[name]
     arms["mpc"] = make_arms(replace(base, arms=("mpc",)))["mpc"]
     if "mcts" in options.arms:  # the only one that needs mctx
         arms["mcts"] = make_arms(replace(base, arms=("mcts",)))["mcts"]

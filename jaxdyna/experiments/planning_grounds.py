@@ -139,15 +139,15 @@ def cartpole_ground(key: jax.Array, sizes: Sizes) -> Iterator[tuple[Ground, Iter
                 yield planned(in_model("MPC, its own models", arm, make, steps, without_guide))
                 yield dreamt(in_model("CEM", arm, rounds(config), steps, without_guide))
         for count in sizes.simulations:
-            config = replace(options.mcts, simulations=count)
-            make = partial(muzero, config=config)
+            search = replace(options.mcts, simulations=count)
+            make = partial(muzero, config=search)
             steps = count * (1 + depth)
             told = Guide(value=rollout_value(env, env_params, depth, discount))
             yield in_true("MCTS", env, env_params, make, steps, always(told))
             guided = random_episodes(arm.dyna, discount, depth)
             yield dreamt(in_model("MCTS", arm, make, steps, guided))
             if count == max(sizes.simulations):
-                make = partial(gumbel_muzero, config=config)
+                make = partial(gumbel_muzero, config=search)
                 yield dreamt(in_model("MCTS, Gumbel", arm, make, steps, guided))
 
     yield ground, tried()
