@@ -33,7 +33,7 @@ JUDGED = 2
 @dataclass(frozen=True)
 class LeverOptions(VariantOptions):
     """Many variants of one setup, each beside the setup itself, on a smaller board that carries
-    them all in an hour; the Maze's own has --size 16 --obstacles 5 --steps 200."""
+    them all in two hours; the Maze's own has --size 16 --obstacles 5 --steps 200."""
 
     size: int = 8
     """Cells a side of the board."""

@@ -35,8 +35,8 @@ def solve_bars(
     panel.text(limit * 1.012, -0.6, "unsolved", color="#c0392b", fontsize=8, va="bottom")
     panel.set_yticks(range(len(solved_at)), list(solved_at), fontsize=8)
     panel.set_ylim(len(solved_at) - 0.4, -0.6)
-    panel.set_xlabel(f"{axis} (dot: a seed; bar: mean, an unsolved seed counted as {limit})")
-    panel.set_title(title, loc="left", fontsize=10, pad=14)
+    panel.set_xlabel(f"{axis}\n(dot: a seed; bar: mean, an unsolved seed counted as {limit})")
+    figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=10)
     panel.spines[["top", "right"]].set_visible(False)
     save(figure, path)
 
