@@ -64,7 +64,8 @@ def test_everybody_decides_by_what_each_run_has_learned():
 
 TINY = ["--quick", "--seeds", "2", "--episodes", "6", "--grounds", "cartpole",
         "--sizes.runs", "2", "1", "--sizes.cartpole-episodes", "4", "--sizes.played", "1", "1",
-        "--sizes.candidates", "4", "--contenders", "policy", "MPC (learned world)", "--arms", "dyna", "mpc_init"]  # fmt: skip
+        "--sizes.candidates", "4", "--contenders", "policy", "MPC (learned world)",
+        "--arms", "dyna", "mpc_init"]  # fmt: skip
 
 
 def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_path, monkeypatch):
@@ -105,7 +106,7 @@ def test_who_imitates_dreams_on_or_stays_as_it_is():
     for name, arm in make_arms(small).items():
         train = jax.jit(make_train(arm.dyna._replace(diagnose=None), arm.config))
         state, metrics = train(jax.random.key(0), arm.hparams)
-        dreams = np.isfinite(np.asarray(metrics["fake_return"]))
+        dreams = np.isfinite(np.asarray(metrics.get("fake_return", np.full(7, np.nan))))
         np.testing.assert_array_equal(
             dreams, [name == "mpc_init_dyna" and n >= 3 for n in range(7)]
         )
@@ -118,7 +119,7 @@ def test_who_imitates_dreams_on_or_stays_as_it_is():
 
 def test_the_oracle_plays_best_in_the_maze_and_values_are_asked_for():
     sizes = planning_grounds.Sizes(candidates=(4,), simulations=(4,), far_candidates=(256,))
-    options = replace(MAZE, episodes=1, size=2, obstacles=1, steps=8)
+    options = replace(MAZE, episodes=1, real_first=1, size=2, obstacles=1, steps=8)
     arm = maze_train.make_arms(options)["dyna"]
     state = jax.jit(jax.vmap(make_init(arm.dyna, arm.config), (0, None)))(
         jax.random.split(jax.random.key(0), 1), arm.hparams
