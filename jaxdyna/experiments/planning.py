@@ -99,7 +99,7 @@ QUICK = Options(
     sizes=Sizes(
         runs=(1, 1),
         cartpole_episodes=15,
-        maze_episodes=(25,),
+        maze_episodes=(20,),
         played=(4, 4),
         candidates=(32,),
         simulations=(8,),
@@ -181,7 +181,7 @@ def budgets(options: Options, say: Any) -> list[Results]:
     for (name, make), key in zip(GROUNDS.items(), keys, strict=True):
         if name in options.grounds:
             say(f"{name}: learning a model and a policy ...")
-            for ground, tried in make(key, options.sizes):
+            for ground, tried in make(key, options.sizes, options.contenders):
                 chosen = (who for who in tried if who.label in options.contenders)
                 rows += measure(ground, chosen, say)
     return rows

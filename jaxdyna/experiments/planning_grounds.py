@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -47,6 +47,8 @@ GREEDY = {"epsilon_first": 0.0, "epsilon_last": 0.0}
 FAR = 1.5
 """Steps that shooting without a value looks ahead in the Maze, as a multiple of the way to the
 goal: a sequence with a drift towards the goal makes detours."""
+OWN_MODELS = "MPC, its own models"
+OWN = f"{OWN_MODELS} (learned world)"
 
 
 @dataclass(frozen=True)
@@ -107,18 +109,21 @@ def learned(arm: Arm, key: jax.Array, runs: int, after: Sequence[int]) -> list[D
     return stages
 
 
-def cartpole_ground(key: jax.Array, sizes: Sizes) -> Iterator[tuple[Ground, Iterator[Contender]]]:
-    """CartPole, and what was learned there in the ``lean`` preset by `dyna`, and by `mpc`, whose
-    models know a planner's episodes.
+def cartpole_ground(
+    key: jax.Array, sizes: Sizes, wanted: Collection[str]
+) -> Iterator[tuple[Ground, Iterator[Contender]]]:
+    """CartPole, and what was learned there in the ``lean`` preset by `dyna`, and, if it is wanted,
+    by `mpc`, whose models know a planner's episodes.
     """
     keys = jax.random.split(key, 3)
-    options = replace(CARTPOLE, episodes=sizes.cartpole_episodes, arms=("dyna", "mpc"))
+    names: Any = ("dyna", "mpc") if OWN in wanted else ("dyna",)
+    options = replace(CARTPOLE, episodes=sizes.cartpole_episodes, arms=names)
     arms = cartpole.make_arms(options)
     arm = arms["dyna"]
     env_params = arm.hparams.env
     states = [
         learned(arms[name], key, sizes.runs[0], [options.episodes])[0]
-        for name, key in zip(options.arms, keys[:2], strict=True)
+        for name, key in zip(names, keys, strict=False)
     ]
     ground = Ground(
         "CartPole", arm.dyna.env, env_params, states, options.num_steps,
@@ -136,7 +141,7 @@ def cartpole_ground(key: jax.Array, sizes: Sizes) -> Iterator[tuple[Ground, Iter
             yield in_true("MPC", env, env_params, make, steps, untold)
             yield dreamt(in_model("MPC", arm, make, steps, without_guide))
             if count == max(sizes.candidates):
-                yield planned(in_model("MPC, its own models", arm, make, steps, without_guide))
+                yield planned(in_model(OWN_MODELS, arm, make, steps, without_guide))
                 yield dreamt(in_model("CEM", arm, rounds(config), steps, without_guide))
         for count in sizes.simulations:
             search = replace(options.mcts, simulations=count)
@@ -153,7 +158,9 @@ def cartpole_ground(key: jax.Array, sizes: Sizes) -> Iterator[tuple[Ground, Iter
     yield ground, tried()
 
 
-def maze_ground(key: jax.Array, sizes: Sizes) -> Iterator[tuple[Ground, Iterator[Contender]]]:
+def maze_ground(
+    key: jax.Array, sizes: Sizes, wanted: Collection[str]
+) -> Iterator[tuple[Ground, Iterator[Contender]]]:
     """The Maze, and what was learned there by `dyna` of the ``lean`` preset, stage by stage."""
     key_learn, key_play = jax.random.split(key)
     size, obstacles, steps = sizes.board
