@@ -68,13 +68,13 @@ class Sizes:
         board: the Maze's cells a side, obstacles, steps of an episode.
     """
 
-    runs: tuple[int, int] = (8, 6)
+    runs: tuple[int, int] = (4, 3)
     cartpole_episodes: int = 30
-    maze_episodes: tuple[int, ...] = (20, 60)
+    maze_episodes: tuple[int, ...] = (20, 40)
     played: tuple[int, int] = (3, 5)
-    candidates: tuple[int, ...] = (8, 32, 128)
-    simulations: tuple[int, ...] = (4, 16, 64)
-    far_candidates: tuple[int, ...] = (16, 256)
+    candidates: tuple[int, ...] = (8, 32)
+    simulations: tuple[int, ...] = (4, 16)
+    far_candidates: tuple[int, ...] = (256,)
     batch: int = 16
     board: tuple[int, int, int] = (8, 3, 60)
 
