@@ -49,12 +49,28 @@ def test_what_was_shown_is_imitated():
     assert jax.tree.structure(new) == jax.tree.structure(state)
     assert np.isfinite(metrics["loss"])
     seen = shown(3)
-    chosen = jax.vmap(jax.vmap(LOGITS, (None, 0)), (None, 0))(new.agent.params, seen.obs)
+    chosen = jax.vmap(jax.vmap(LOGITS, (None, 0)), (None, 0))(new.imitating, seen.obs)
     right = (chosen.argmax(-1) == seen.action)[seen.mask]
     assert right.mean() > 0.9
     assert new.shown.size == shown(1).mask.sum()
+    assert_same(new.agent, state.agent)  # who shows may plan by what the agent has learned
     nothing = shown(1)._replace(mask=shown(1).mask * 0.0)
     assert_same(update(state, nothing, jax.random.key(2), ReinforceHParams())[0], state)
+
+
+def test_imitation_is_taken_over_when_the_agent_goes_on_by_itself():
+    state = IMITATOR.init(jax.random.key(0), ReinforceHParams())
+    state, _ = IMITATOR.update_expert(state, shown(1), jax.random.key(2), ReinforceHParams())
+    obs = shown(3).obs[0, 5]
+    action = IMITATOR.act(state, obs, jax.random.key(3), ReinforceHParams())
+    imitating = state.agent.replace(params=state.imitating)
+    assert action == AGENT.act(imitating, obs, jax.random.key(3), ReinforceHParams())
+    episodes = rollout(ENV, random_act, jax.random.key(4), ENV.default_params, 4, num_steps=20)
+    for _ in range(2):  # once only: then the agent's own parameters count
+        expected, _ = AGENT.update(imitating, episodes, jax.random.key(5), ReinforceHParams())
+        state, _ = IMITATOR.update(state, episodes, jax.random.key(5), ReinforceHParams())
+        assert_close(state.agent, expected)
+        imitating = expected
 
 
 def test_it_is_the_agent_in_everything_else():

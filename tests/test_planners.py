@@ -150,7 +150,14 @@ def test_the_corridor_is_solved_as_by_dynamic_programming(name, near):
     if name not in (*SEARCHES, "soft"):  # those expect a mean of what they tried
         np.testing.assert_allclose(found.value, np.repeat(exact.max(1)[:, None], 8, 1), atol=1e-5)
     else:
-        assert (np.asarray(found.value) <= exact.max(1)[:, None] + 1e-5).all()
+        value = np.asarray(found.value)
+        assert (value <= exact.max(1)[:, None] + 1e-5).all()
+        assert (value > exact.min(1)[:, None] - 0.1).mean() >= 0.9
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_where_nothing_pays_on_the_way_all_find_the_far_end(name):
+    np.testing.assert_array_equal(decide(name, -0.5).action, 1)
 
 
 @pytest.mark.parametrize("name", FEW)
@@ -229,6 +236,24 @@ def test_a_random_episode_says_what_a_state_is_worth():
     assert mean == pytest.approx(3 / 4 * 0.3 + 1 / 4 - 0.02 * 2, abs=0.05)
 
 
+def test_what_a_world_does_after_its_end_counts_for_nothing():
+    @dataclass(frozen=True)
+    class Diverging(Corridor):
+        """Leaves all numbers behind once an episode is over, as a learned model may."""
+
+        def step(self, key, state, action, params):
+            found = super().step(key, state, action, params)
+            over = (state.cell == 0) | (state.cell == CELLS - 1)
+            return (*found[:2], jnp.where(over, jnp.nan, found[2]), *found[3:])
+
+    state, params = Place(jnp.int32(1), jnp.int32(0)), CorridorParams()
+    values = [
+        rollout_value(env, params, 60)(WORLD.see(state), state, jax.random.key(0))
+        for env in (WORLD, Diverging())
+    ]
+    assert values[0] == values[1]
+
+
 @pytest.mark.parametrize("name", FEW)
 def test_jit_is_eager_and_vmap_is_a_loop(name):
     planner, params = FEW[name], CorridorParams()
@@ -269,6 +294,9 @@ def share_of_oracle(planner, episodes=12):
 
 BUDGETS = {
     "shooting": lambda n: random_shooting(MAZE, ShootingConfig(4, n)),
+    "drifting and soft": lambda n: random_shooting(
+        MAZE, ShootingConfig(4, n, drift=1.0, temperature=0.05)
+    ),
     "cross_entropy": lambda n: cross_entropy(MAZE, CrossEntropyConfig(4, n // 2, elites=n // 8)),
     "muzero": lambda n: muzero(MAZE, SearchConfig(n, discount=0.95)),
     "gumbel_muzero": lambda n: gumbel_muzero(MAZE, SearchConfig(n, discount=0.95)),

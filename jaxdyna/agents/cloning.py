@@ -47,8 +47,9 @@ class CloningConfig:
         capacity: shown transitions kept.
         learning_rate: of the optimiser, which starts anew after each shown episode.
         loss: of one imitated action.
-        learns_too: whether the agent's own update sees the shown episodes first, as a learner that
-            is off-policy can make use of them.
+        learns_too: whether the agent's own update sees the shown episodes as well, as a learner
+            that is off-policy can make use of them; imitation then starts from what it has learned,
+            otherwise from the imitation of the episode before.
         optimizer: from a learning rate to an optax transformation.
     """
 
@@ -70,10 +71,20 @@ class CloningConfig:
 
 @struct.dataclass
 class CloningState:
-    """The agent's own state, and the ``(obs, action)`` that it was shown."""
+    """What an imitator knows.
+
+    Attributes:
+        agent: the agent's own state. Imitation does not touch it while an expert plays, who may
+            plan by its values.
+        shown: the ``(obs, action)`` seen so far.
+        imitating: parameters that imitate them.
+        waiting: whether the agent is to take these over when it next acts or learns by itself.
+    """
 
     agent: Any
     shown: Replay
+    imitating: Any
+    waiting: jax.Array
 
 
 def cloning(
@@ -97,7 +108,9 @@ def cloning(
     """
 
     def init(key: Key, hparams: Any) -> CloningState:
-        return CloningState(agent.init(key, hparams), replay.init(config.capacity, example))
+        own = agent.init(key, hparams)
+        params = jax.tree.map(jnp.copy, own.params)
+        return CloningState(own, replay.init(config.capacity, example), params, jnp.bool_(False))
 
     def imitate(params: Any, shown: Replay, key: Key) -> tuple[Any, jax.Array]:
         optimizer = config.optimizer(config.learning_rate)
@@ -122,27 +135,36 @@ def cloning(
         seen = transitions.mask > 0
         items = (transitions.obs, transitions.action.astype(state.shown.data[1].dtype))
         shown = replay.add(state.shown, items, seen)
-        learner = state.agent
+        own, params = state.agent, state.imitating
         if config.learns_too:
-            learner, _ = agent.update(learner, transitions, key_own, hparams)
-        params, loss = imitate(learner.params, shown, key_imitate)
-        new = CloningState(install(learner, params), shown)
+            own, _ = agent.update(own, transitions, key_own, hparams)
+            params = own.params
+        params, loss = imitate(params, shown, key_imitate)
+        new = CloningState(own, shown, params, jnp.bool_(True))
         new = jax.tree.map(lambda new, old: jnp.where(seen.any(), new, old), new, state)
         return new, {"loss": loss}
 
-    return _lifted(agent, init, update_expert)
+    return _lifted(agent, init, update_expert, install)
 
 
-def _lifted(agent: Agent, init: Callable, update_expert: Callable) -> Agent:
+def _lifted(agent: Agent, init: Callable, update_expert: Callable, install: Callable) -> Agent:
     """The agent's own functions on a `CloningState`."""
 
+    def imitating(state: CloningState) -> Any:
+        """The agent's own state; with the parameters that wait."""
+        return jax.tree.map(
+            lambda new, old: old if new is old else jnp.where(state.waiting, new, old),
+            install(state.agent, state.imitating),
+            state.agent,
+        )
+
     def lift_act(act: Callable) -> Callable:
-        return lambda state, obs, key, hparams: act(state.agent, obs, key, hparams)
+        return lambda state, obs, key, hparams: act(imitating(state), obs, key, hparams)
 
     def lift_update(update: Callable) -> Callable:
         def lifted(state: CloningState, transitions: Transition, key: Key, hparams: Any):
-            own, metrics = update(state.agent, transitions, key, hparams)
-            return replace(state, agent=own), metrics
+            own, metrics = update(imitating(state), transitions, key, hparams)
+            return replace(state, agent=own, waiting=jnp.bool_(False)), metrics
 
         return lifted
 

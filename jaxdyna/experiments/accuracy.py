@@ -75,9 +75,9 @@ class AccuracyReport(VariantsReport):
             described["model_error"] = curves["judged_error"].tolist()
         return described
 
-    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+    def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
         """``variants.png`` and ``accuracy.png``."""
-        super().figures(out, curves)
+        super().figures(out, curves, results)
         judged = {name: values for name, values in curves.items() if "judged_error" in values}
         solved = {name: np.minimum(self.solved_at(arm), self.limit) for name, arm in curves.items()}
         plots_studies.error_scatter(

@@ -18,7 +18,17 @@ from jaxdyna.models import SupervisedConfig, SupervisedHParams
 from jaxdyna.planners import SearchConfig, ShootingConfig
 from jaxdyna.statistics import SolveRule
 
-ArmName = Literal["model_free", "dyna", "placebo", "oracle", "mpc", "mcts", "mpc_init"]
+ArmName = Literal[
+    "model_free",
+    "dyna",
+    "placebo",
+    "oracle",
+    "mpc",
+    "mcts",
+    "mpc_init",
+    "mpc_init_dyna",
+    "mpc_clone",
+]
 STEPS = {"v0": 200, "v1": 500}
 RULES = {"v0": SolveRule(100, 195.0), "v1": SolveRule(100, 475.0)}
 
@@ -38,7 +48,8 @@ class Options:
     arms: tuple[ArmName, ...] = ("model_free", "dyna")
     """model_free, dyna, and the controls: placebo never trains its model, oracle dreams in the true
     environment. And planners on the learned model: mpc (random shooting) and mcts (tree search, the
-    planning extra) act instead of a policy; mpc_init imitates mpc and goes on model-free."""
+    planning extra) act instead of a policy; mpc_init imitates mpc and goes on model-free,
+    mpc_init_dyna with dreams, mpc_clone not at all."""
     out: Path | None = None
     """Folder for the results; runs/cartpole-PRESET by default."""
     resume: bool = False
@@ -83,9 +94,9 @@ class Options:
     mcts_rollout: int = 20
     """Steps of the random episode in the model that says what a node is worth."""
     shown_episodes: int = 20
-    """Real episodes after the first N in which mpc_init is shown what to do."""
+    """Real episodes after the first N in which the arms that imitate are shown what to do."""
     cloning: CloningConfig = field(default_factory=CloningConfig)
-    """How mpc_init imitates."""
+    """How they imitate."""
     agent: ReinforceConfig = field(default_factory=lambda: ReinforceConfig(advantage=per_step))
     """REINFORCE's network."""
     model: SupervisedConfig = field(

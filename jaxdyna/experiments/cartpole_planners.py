@@ -34,11 +34,14 @@ def planner_arms(
     def arm(make: Callable[[], Dyna]) -> Callable[[], Arm]:
         return lambda: Arm(make(), config, hparams)
 
-    shown = (options.agent, options.cloning, options.shown_episodes)
+    shown = (options.mpc, options.agent, options.cloning, options.shown_episodes)
+    late = replace(hparams, num_real_first=options.real_first + options.shown_episodes)
     return {
         "mpc": arm(partial(mpc, dyna, options.mpc)),
         "mcts": arm(partial(mcts, dyna, options.mcts, options.mcts_rollout)),
-        "mpc_init": arm(partial(mpc_init, dyna, options.mpc, *shown)),
+        "mpc_init": arm(partial(mpc_init, dyna, *shown)),
+        "mpc_init_dyna": lambda: Arm(mpc_shows(dyna, *shown), dyna_config(options), late),
+        "mpc_clone": arm(partial(mpc_clone, dyna, *shown)),
     }
 
 
@@ -56,20 +59,34 @@ def mcts(dyna: Dyna, config: SearchConfig, rollout_steps: int) -> Dyna:
 
 
 @cache
-def mpc_init(
+def mpc_shows(
     dyna: Dyna,
     config: ShootingConfig,
     agent: ReinforceConfig,
     imitation: CloningConfig,
     episodes: int,
 ) -> Dyna:
-    """Random shooting shows the policy what to do."""
+    """Random shooting shows the policy what to do; ``dyna`` goes on."""
     num_actions = dyna.env.num_actions
     example = (jax.ShapeDtypeStruct((4,), np.float32), jax.ShapeDtypeStruct((), np.int32))
     logits = policy_logits(num_actions, agent)
     imitator = cloning(reinforce((4,), num_actions, agent), logits, example, imitation)
     planner = random_shooting(world(dyna), config)
     return showing(dyna, planner, without_guide, imitator, episodes)
+
+
+@cache
+def mpc_init(dyna: Dyna, *shown: Any) -> Dyna:
+    """As `mpc_shows`; model-free learning goes on."""
+    return mpc_shows(dyna, *shown)._replace(dream=None)
+
+
+@cache
+def mpc_clone(dyna: Dyna, *shown: Any) -> Dyna:
+    """As `mpc_shows`; the policy stays as it is from then on."""
+    imitator = mpc_shows(dyna, *shown)
+    agent = imitator.agent._replace(update=learn_nothing)
+    return imitator._replace(dream=None, agent=agent)
 
 
 def world(dyna: Dyna) -> Any:
@@ -90,7 +107,9 @@ def random_episodes(dyna: Dyna, discount: float, steps: int) -> Any:
 def resting(dyna: Dyna) -> Dyna:
     """With an agent that learns nothing from the episodes that a planner plays."""
 
-    def learn_nothing(state: Any, transitions: Any, key: Any, hparams: Any):
-        return state, {"loss": jax.numpy.float32(0)}
-
     return dyna._replace(agent=dyna.agent._replace(update_expert=learn_nothing))
+
+
+def learn_nothing(state: Any, transitions: Any, key: Any, hparams: Any) -> tuple[Any, Any]:
+    """An agent's update that leaves it as it is."""
+    return state, {"loss": jax.numpy.float32(0)}

@@ -41,7 +41,7 @@ class CartPoleReport:
         dreams = report.first_dreams(curves, self.options.real_first)
         return cartpole_model.describe(curves) | {"first_dreams": dreams}
 
-    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+    def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
         """``fig5_ARM.png`` of each learned model and ``fig6.png``."""
         returns = {name: values["real_return"] for name, values in curves.items()}
         solved_at = {
@@ -195,9 +195,16 @@ def _dreams_line(options: Options) -> str:
     )
 
 
+IMITATES = {
+    "mpc_init": "goes on model-free",
+    "mpc_init_dyna": "goes on with dreams like `dyna`",
+    "mpc_clone": "stays as it then is",
+}
+
+
 def _planner_lines(options: Options) -> list[str]:
     mpc, mcts, lines = options.mpc, options.mcts, []
-    if {"mpc", "mpc_init"} & set(options.arms):
+    if {"mpc", *IMITATES} & set(options.arms):
         lines.append(
             f"`mpc`: from real episode {options.real_first + 1} on decides by {mpc.candidates} "
             f"random sequences of {mpc.horizon} steps in the model (temperature "
@@ -208,11 +215,12 @@ def _planner_lines(options: Options) -> list[str]:
             f"`mcts`: likewise by a tree of {mcts.simulations} nodes (MuZero's search), random "
             f"episodes of {options.mcts_rollout} steps for the value of its leaves; no dreams."
         )
-    if "mpc_init" in options.arms:
-        lines.append(
-            f"`mpc_init`: `mpc` plays {options.shown_episodes} episodes; the policy imitates them "
-            f"({options.cloning.updates} updates after each) and goes on model-free."
-        )
+    for name, goes_on in IMITATES.items():
+        if name in options.arms:
+            lines.append(
+                f"`{name}`: `mpc` plays {options.shown_episodes} episodes; the policy imitates "
+                f"them ({options.cloning.updates} updates after each) and {goes_on}."
+            )
     return lines
 
 

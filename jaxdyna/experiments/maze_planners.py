@@ -81,7 +81,7 @@ def mpc_init(
         inner = replace(state, agent=state.agent.agent)
         return by_values(agent)(inner, hparams, env_params)
 
-    return showing(dyna, planner, guide, imitator, episodes)
+    return showing(dyna, planner, guide, imitator, episodes)._replace(dream=None)
 
 
 def by_values(agent: DQNConfig) -> Callable[[DynaState, DynaHParams, Any], Guide]:

@@ -56,7 +56,7 @@ class Options:
     """Folder for the results; runs/maze-PRESET by default."""
     resume: bool = False
     """Go on with the run in that folder, bit for bit."""
-    stop_after_solved: int | None = 50
+    stop_after_solved: int | None = 0
     """Episodes an arm plays on once all its seeds have solved; None plays all of them."""
     size: int = 16
     """Cells a side of the board."""
@@ -206,6 +206,7 @@ LEAN = replace(
     preset="lean",
     network="glimpse",
     episodes=150,
+    stop_after_solved=50,
     real_first=15,
     model_updates=100,
     agent=replace(PAPER.agent, updates=100),

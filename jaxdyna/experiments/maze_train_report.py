@@ -95,7 +95,7 @@ class MazeReport:
         }
         return {"greedy": greedy, "model": model, "cost": describe_cost(curves)}
 
-    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+    def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
         """``fig8.png``, ``solved.png``, ``behaviour.png``, ``film_ARM.gif``."""
         shares = {name: arm["real_return"] / arm["oracle_return"] for name, arm in curves.items()}
         rule = self.options.rule

@@ -2,7 +2,8 @@
 
 ``mpc`` and ``mcts``: after the first N real episodes the planner acts, and the model learns on.
 ``mpc_init`` (Nagabandi et al. 2018): the planner acts in some real episodes, the agent imitates
-them, and model-free learning goes on. No arm of these dreams.
+them, and model-free learning goes on. None of these dreams; CartPole has two more that begin like
+``mpc_init``: in ``mpc_init_dyna`` dreams go on, in ``mpc_clone`` nothing does.
 """
 
 from __future__ import annotations
@@ -28,9 +29,10 @@ def acting(dyna: Dyna, planner: Planner, guide: MakeGuide) -> Dyna:
 
 
 def showing(dyna: Dyna, planner: Planner, guide: MakeGuide, agent: Agent, episodes: int) -> Dyna:
-    """The planner acts in so many real episodes after the first N; ``agent`` imitates it."""
-    expert = Expert(on_model(dyna, planner, guide), episodes)
-    return dyna._replace(dream=None, agent=agent, expert=expert)
+    """The planner acts in so many real episodes after the first N; ``agent`` imitates it. Dreams
+    stay: who wants none replaces them.
+    """
+    return dyna._replace(agent=agent, expert=Expert(on_model(dyna, planner, guide), episodes))
 
 
 def on_model(dyna: Dyna, planner: Planner, guide: MakeGuide) -> Callable[..., jax.Array]:

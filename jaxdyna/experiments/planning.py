@@ -7,12 +7,11 @@ imitates before it learns on, and with dreams, each with good and with poor mode
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jax
 from rich.console import Console
@@ -20,6 +19,7 @@ from rich.console import Console
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.cartpole import make_arms
 from jaxdyna.experiments.cartpole_options import LEAN
+from jaxdyna.experiments.cartpole_report import IMITATES
 from jaxdyna.experiments.planning_budgets import measure
 from jaxdyna.experiments.planning_grounds import Sizes, cartpole_ground, maze_ground
 from jaxdyna.experiments.planning_report import PlanningReport
@@ -31,10 +31,12 @@ from jaxdyna.planners import require_mctx
 
 GROUNDS = {"cartpole": cartpole_ground, "maze": maze_ground}
 CONTENDERS = (
-    "policy", "MPC (true world)", "MPC (learned world)", "MCTS (true world)",
-    "MCTS (learned world)", "MPC to the goal (true world)", "MPC, learned values (true world)",
-    "MPC, learned values (learned world)", "MCTS, learned values (true world)",
-    "MCTS, learned values (learned world)",
+    "policy", "MPC (true world)", "MPC (learned world)", "MPC, its own models (learned world)",
+    "CEM (learned world)", "MCTS (true world)", "MCTS (learned world)",
+    "MCTS, Gumbel (learned world)", "MPC to the goal (true world)",
+    "MPC, learned values (true world)", "MPC, learned values (learned world)",
+    "CEM, learned values (learned world)", "MCTS, learned values (true world)",
+    "MCTS, learned values (learned world)", "MCTS, Gumbel, learned values (learned world)",
 )  # fmt: skip
 GROUND_KEY = 2**32 - 2
 """Folded into the base seed's key: the runs' own keys are its first splits."""
@@ -53,11 +55,12 @@ class Options(VariantOptions):
     episodes: int = 180
     """Real episodes of a run at the most."""
     arms: tuple[str, ...] = (
-        "dyna", "mpc_init", "dyna, 20 model updates", "mpc_init, 20 model updates", "mpc",
-        "model_free",
+        "dyna", "mpc_init", "mpc_init_dyna", "mpc_clone", "dyna, 20 model updates",
+        "mpc_init, 20 model updates", "mpc_init_dyna, 20 model updates",
+        "mpc_clone, 20 model updates", "mpc", "model_free",
     )  # fmt: skip
-    """Names of the arms to play on CartPole; there are also mcts, and dyna and mpc_init with 5
-    model updates."""
+    """Names of the arms to play on CartPole; there are also mcts, and all that imitate or dream
+    with 5 model updates."""
     stop_after_solved: int | None = 0
     """Episodes an arm plays on once all its seeds have solved; None plays all of them."""
     grounds: tuple[str, ...] = tuple(GROUNDS)
@@ -77,11 +80,7 @@ class Options(VariantOptions):
             raise ValueError(f"--contenders: there is no {unknown[0]}; there are: {there_are}")
         if "policy" not in self.contenders:
             raise ValueError("--contenders: the policy is what planners are compared with; add it")
-        for name in ("runs", "episodes", "played", "candidates", "simulations", "far_candidates"):
-            if min(getattr(self.sizes, name), default=1) < 1:
-                raise ValueError(f"--sizes.{name.replace('_', '-')}: give numbers of at least 1")
-        if self.sizes.batch < 1:
-            raise ValueError("--sizes.batch must be at least 1")
+        self.sizes.check()
 
 
 FULL = Options()
@@ -90,14 +89,21 @@ QUICK = Options(
     seeds=2,
     episodes=110,
     arms=("dyna", "mpc_init", "mpc"),
-    contenders=tuple(name for name in CONTENDERS if "true world" not in name),
+    contenders=(
+        "policy",
+        "MPC (learned world)",
+        "MCTS (learned world)",
+        "MPC, learned values (learned world)",
+        "MCTS, learned values (learned world)",
+    ),
     sizes=Sizes(
         runs=(1, 1),
-        episodes=(15, 25),
+        cartpole_episodes=15,
+        maze_episodes=(20,),
         played=(4, 4),
         candidates=(32,),
         simulations=(8,),
-        small_maze=True,
+        board=(6, 1, 40),
     ),
 )
 
@@ -112,8 +118,8 @@ def variants(options: VariantOptions) -> dict[str, Arm]:
     }
     arms = {}
     for said, setup in models.items():
-        for name in ("dyna", "mpc_init"):
-            arms[f"{name}{said}"] = make_arms(replace(setup, arms=(name,)))[name]
+        for name in ("dyna", *IMITATES):
+            arms[f"{name}{said}"] = make_arms(replace(setup, arms=(cast(Any, name),)))[name]
     arms["mpc"] = make_arms(replace(base, arms=("mpc",)))["mpc"]
     if "mcts" in options.arms:  # the only one that needs mctx
         arms["mcts"] = make_arms(replace(base, arms=("mcts",)))["mcts"]
@@ -150,14 +156,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         cli.fail(f"--arms: there is no {'; '.join(unknown)}; there are: {'; '.join(arms)}", prog)
     out = options.out or Path("runs") / PLANNING.experiment
     console = Console(highlight=False)
-    try:
-        cli.check_writable(out)
-        rows = (_earlier(out) if options.resume else None) or budgets(options, console.print)
-    except ValueError as error:
-        cli.fail(str(error), prog)
-    except KeyboardInterrupt:
-        console.print("Interrupted while decisions were timed: nothing is kept of that.")
-        return 130
     session = Session(
         experiment=PLANNING.experiment,
         prog=prog,
@@ -166,11 +164,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         out=out,
         rule=PLANNING.rule,
         keys=jax.random.split(jax.random.key(options.seed), options.seeds),
-        report=PlanningReport(PLANNING, options, rows),
+        report=PlanningReport(PLANNING, options),
         block=PLANNING.block,
         piece=10,
         slim_above=0,
-        further={"budgets": rows},
+        prelude=("budgets", lambda: budgets(options, console.print)),
         console=console,
     )
     return session.run({name: arms[name] for name in options.arms or arms})
@@ -183,15 +181,10 @@ def budgets(options: Options, say: Any) -> list[Results]:
     for (name, make), key in zip(GROUNDS.items(), keys, strict=True):
         if name in options.grounds:
             say(f"{name}: learning a model and a policy ...")
-            ground, tried = make(key, options.sizes)
-            rows += measure(ground, (who for who in tried if who.label in options.contenders), say)
+            for ground, tried in make(key, options.sizes, options.contenders):
+                chosen = (who for who in tried if who.label in options.contenders)
+                rows += measure(ground, chosen, say)
     return rows
-
-
-def _earlier(out: Path) -> list[Results] | None:
-    """Those of an earlier run in the folder."""
-    path = out / "results.json"
-    return json.loads(path.read_text()).get("budgets") if path.exists() else None
 
 
 if __name__ == "__main__":

@@ -74,13 +74,16 @@ class Ground(NamedTuple):
 def measure(
     ground: Ground, contenders: Iterable[Contender], say: Callable[[str], None]
 ) -> list[Results]:
-    """A row a contender: its returns, their share of what could be had, and milliseconds."""
+    """A row a contender: its returns, their share of what could be had, how much more that is than
+    the first contender's, and milliseconds.
+    """
     best = best_returns(ground)
-    rows = []
+    rows: list[Results] = []
     for contender in contenders:
         returns = play(ground, contender.act)
-        pairs = np.stack([returns, best], axis=-1)
-        apart = pairs.sum(1) if len(pairs) > 2 else pairs.reshape(-1, 2)  # by run or episode
+        first = np.array(rows[0]["returns"]) if rows else returns
+        both = np.stack([returns, best, first], axis=-1)
+        apart = both.sum(1) if len(both) > 2 else both.reshape(-1, 3)  # by run or episode
         said = f"{contender.label}, {contender.steps} steps"
         rows.append(
             {
@@ -91,7 +94,12 @@ def measure(
                 "returns": returns.tolist(),
                 "share": float(returns.sum() / best.sum()),
                 "share_ci95": bootstrap_interval(
-                    apart, lambda rows: rows[..., 0].sum(-1) / rows[..., 1].sum(-1)
+                    apart, lambda parts: parts[..., 0].sum(-1) / parts[..., 1].sum(-1)
+                ),
+                "gain": float((returns - first).sum() / best.sum()),
+                "gain_ci95": bootstrap_interval(
+                    apart,
+                    lambda parts: (parts[..., 0] - parts[..., 2]).sum(-1) / parts[..., 1].sum(-1),
                 ),
                 "ms": milliseconds(ground, contender.act, 1),
                 "batch": ground.batch,

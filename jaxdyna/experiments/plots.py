@@ -21,13 +21,16 @@ COLOURS = {
     "mpc": "#c77700",
     "mcts": "#2f6db5",
     "mpc_init": "#a8432e",
+    "mpc_init_dyna": "#5b8c2a",
+    "mpc_clone": "#8e5a9b",
     "dyna_l2": "#c0392b",
     "dyna_adversarial": "#d08770",
     "true_ball": "#2e7dbd",
     "true_own": "#7f8c1f",
     "true_opponent": "#888888",
 }
-BEGINS = dict.fromkeys(("mpc", "mcts", "mpc_init"), "planner begins")
+PLANNERS = ("mpc", "mcts", "mpc_init", "mpc_init_dyna", "mpc_clone")
+BEGINS = dict.fromkeys(PLANNERS, "planner begins")
 
 
 def learning_curves(

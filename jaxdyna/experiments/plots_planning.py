@@ -14,10 +14,15 @@ from jaxdyna.experiments.plots import COLOURS, save
 SHADES = {
     "policy": "#0f7b6c",
     "MPC": "#c77700",
+    "MPC, its own models": "#8c1d40",
     "MPC, learned values": "#c77700",
     "MPC to the goal": "#8c6d31",
+    "CEM": "#d1495b",
+    "CEM, learned values": "#d1495b",
     "MCTS": "#6a4c93",
     "MCTS, learned values": "#2f6db5",
+    "MCTS, Gumbel": "#00798c",
+    "MCTS, Gumbel, learned values": "#00798c",
 }
 
 

@@ -80,7 +80,7 @@ class PongReport:
             "cost": describe_cost(curves),
         }
 
-    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+    def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
         """``returns.png``, ``solved.png``, ``points.png``, ``film.gif``."""
         rule, options = self.options.rule, self.options
         solved_at = {name: episodes_to_solve(rule.score(arm), rule) for name, arm in curves.items()}

@@ -6,7 +6,7 @@ import json
 import shlex
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -51,7 +51,7 @@ class Report(Protocol):
     def describe(self, curves: Curves) -> Results:
         """Further entries of an arm in ``results.json``."""
 
-    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+    def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
         """Draws the figures."""
 
     def markdown(self, results: Results) -> str:
@@ -76,7 +76,8 @@ class Session:
         report: the experiment's own part of the report.
         block: see `jaxdyna.experiments.run.Runner`.
         piece: see `jaxdyna.experiments.run.Runner`.
-        further: further entries of ``results.json``, measured before the arms.
+        prelude: a further entry of ``results.json`` by name, and what measures it before the arms
+            are played.
         slim_above: runs of an arm above which less is kept of each, see `storage.slim`.
     """
 
@@ -91,7 +92,7 @@ class Session:
     block: int | None = None
     piece: int | None = None
     slim_above: int = MANY_SEEDS
-    further: Mapping[str, Any] = field(default_factory=dict)
+    prelude: tuple[str, Callable[[], Any]] | None = None
     console: Console = field(default_factory=lambda: Console(highlight=False))
 
     def run(self, arms: Mapping[str, Arm]) -> int:
@@ -99,6 +100,8 @@ class Session:
         self._began, self._earlier_s, self._command = time.perf_counter(), 0.0, self._as_typed()
         self._timing: dict[str, dict[str, float]] = {}
         self._earlier: Results | None = None
+        self._further: Results = {}
+        self._prelude_s: dict[str, float] = {}
         curves: dict[str, Curves] = {}
         try:
             cli.check_writable(self.out)
@@ -112,6 +115,7 @@ class Session:
         write_json(self.out / "checkpoints" / "settings.json", self._settings())
         code = 0
         try:
+            self._measure_first()
             self._play(arms, curves)
             shutil.rmtree(self.out / "checkpoints", ignore_errors=True)
         except jax.errors.JaxRuntimeError as error:
@@ -128,6 +132,21 @@ class Session:
             in_order = {name: curves[name] for name in (*arms, *curves) if name in curves}
             self._write(in_order, figures=True)
         return code
+
+    def _measure_first(self) -> None:
+        """The prelude, unless an earlier run has it."""
+        if self.prelude is None:
+            return
+        (name, measure), path = self.prelude, self.out / "checkpoints" / "prelude.json"
+        before = _read_json(path) if self.options.resume else None
+        if before is None and self._earlier is not None and name in self._earlier:
+            before = {name: self._earlier[name], "s": self._earlier["timing"]["prelude_s"]}
+        if before is None:
+            before = {name: measure(), "s": time.perf_counter() - self._began}
+            write_json(path, before)
+        elif self._earlier is None:
+            self._earlier_s = before["s"]
+        self._further, self._prelude_s = {name: before[name]}, {"prelude_s": before["s"]}
 
     def _play(self, arms: Mapping[str, Arm], curves: dict[str, Curves]) -> None:
         """Plays the arms that are not yet in ``curves`` and puts them there."""
@@ -197,9 +216,9 @@ class Session:
 
     def _write(self, curves: Mapping[str, Curves], figures: bool) -> None:
         write_curves(self.out / "curves.npz", curves)
-        if figures:
-            self.report.figures(self.out, curves)
         results = self._results(curves)
+        if figures:
+            self.report.figures(self.out, curves, results)
         write_json(self.out / "results.json", results)
         if figures:
             write_text(self.out / "report.md", self.report.markdown(results))
@@ -222,8 +241,8 @@ class Session:
             "preset": self.options.preset,
             "config": plain(self.options) | {"arms": list(curves)},
             **environment(self._earlier),
-            "timing": total | {"total_s": total_s, "arms": self._timing},
-            **self.further,
+            "timing": total | self._prelude_s | {"total_s": total_s, "arms": self._timing},
+            **self._further,
             "arms": arms,
             "ratio_to_model_free": compare(arms, "model_free"),
         }

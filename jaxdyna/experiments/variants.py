@@ -108,6 +108,12 @@ class Variants:
         return session.run({name: arms[name] for name in options.arms or arms})
 
 
+DIFFERENCE_SAID = (
+    "where runs of the row are unsolved it is a lower bound (≥), where runs of the first are it is "
+    "left out."
+)
+
+
 @dataclass(frozen=True)
 class VariantsReport:
     """A row and a strip of dots for each variant; see `jaxdyna.experiments.session.Report`."""
@@ -139,7 +145,7 @@ class VariantsReport:
         """What the first dreams were like."""
         return {"first_dreams": report.first_dreams(curves, self.variants.real_first)}
 
-    def figures(self, out: Path, curves: Mapping[str, Curves]) -> None:
+    def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
         """``variants.png``."""
         solved_at = {name: self.solved_at(values) for name, values in curves.items()}
         axis = self.variants.column.replace("_", " ")
@@ -157,7 +163,7 @@ class VariantsReport:
             f"preset; every other one changes what it says. {str(self.variants.rule).capitalize()}."
             f" At most {self.options.episodes} episodes; a mean with an unsolved run in it is "
             "shown as its lower bound (≥). The seeds are the same in every row, so that the "
-            f"difference to «{first}» is paired (unsolved counted as {self.limit}). Fake and real "
+            f"difference to «{first}» is paired; {DIFFERENCE_SAID} Fake and real "
             f"return: medians over the first {report.FIRST_DREAMS} episodes with dreams.",
             markdown_table(*self._long_table(results)).rstrip(),
             "![every seed of every variant](variants.png)",
@@ -183,11 +189,8 @@ class VariantsReport:
         """With the difference to the first row, and the first dreams beside the truth."""
         header, rows = self._table(results)
         arms = list(results["arms"].values())
-        first = self.bounded(arms[0])
         for row, arm in zip(rows, arms, strict=True):
-            difference = self.bounded(arm) - first
-            ends = bootstrap_interval(difference, lambda values: values.mean(-1))
-            row.append("-" if arm is arms[0] else f"{difference.mean():+.0f} ({interval(ends)})")
+            row.append("-" if arm is arms[0] else self._difference(arm, arms[0]))
             dreams = arm["first_dreams"]
             row.append(
                 f"{report.whole(dreams['fake_return'])} / {report.whole(dreams['real_return'])}"
@@ -196,7 +199,21 @@ class VariantsReport:
             )
         return [*header, "difference to the first row", "fake / real return"], rows
 
+    def _difference(self, arm: Results, first: Results) -> str:
+        """How much later than the first, in words; see `DIFFERENCE_SAID`."""
+        if _unsolved(first[self.variants.column]):
+            return "-"
+        difference = self.bounded(arm) - self.bounded(first)
+        if _unsolved(arm[self.variants.column]):
+            return f"≥ {difference.mean():+.0f}"
+        ends = bootstrap_interval(difference, lambda values: values.mean(-1))
+        return f"{difference.mean():+.0f} ({interval(ends)})"
+
     def bounded(self, arm: Any) -> np.ndarray:
         """The table's solve figure of each seed out of ``results.json``, `limit` where unsolved."""
         values = arm[self.variants.column]["per_seed"]
         return np.array([self.limit if value is None else value for value in values], float)
+
+
+def _unsolved(solve: Results) -> bool:
+    return solve["solved"] < solve["seeds"]

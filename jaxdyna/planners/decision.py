@@ -74,17 +74,16 @@ def rollout_value(
         del obs
 
         def step(carry, _):
-            state, weight, total, key = carry
+            state, alive, weight, total, key = carry
             key, key_action, key_step = jax.random.split(key, 3)
             action = jax.random.randint(key_action, (), 0, env.num_actions)
-            _, state, reward, terminated, truncated, _ = env.step(
-                key_step, state, action, env_params
-            )
-            total = total + weight * reward
-            weight = jnp.where(terminated | truncated, 0.0, discount * weight)
-            return (state, weight, total, key), None
+            _, new, reward, terminated, truncated, _ = env.step(key_step, state, action, env_params)
+            total = total + jnp.where(alive, weight * reward, 0.0)
+            # a learned world that goes on after its end may leave all numbers behind
+            state = jax.tree.map(lambda new, old: jnp.where(alive, new, old), new, state)
+            return (state, alive & ~(terminated | truncated), discount * weight, total, key), None
 
-        start = (state, jnp.float32(1), jnp.float32(0), key)
-        return jax.lax.scan(step, start, length=num_steps)[0][2]
+        start = (state, jnp.bool_(True), jnp.float32(1), jnp.float32(0), key)
+        return jax.lax.scan(step, start, length=num_steps)[0][3]
 
     return value
