@@ -1,5 +1,6 @@
 """Pure environments, registered with Gymnasium when this package is imported."""
 
+from jaxdyna.envs.atari import AtariParams, AtariPong, AtariState
 from jaxdyna.envs.cartpole import CartPole, CartPoleParams, CartPoleState
 from jaxdyna.envs.gymnasium import HostEnv, HostVectorEnv, register
 from jaxdyna.envs.maze import Maze, MazeParams, MazeState
@@ -11,6 +12,9 @@ from jaxdyna.envs.stack import FrameStack, StackState
 
 __all__ = [
     "CHANNELS",
+    "AtariParams",
+    "AtariPong",
+    "AtariState",
     "CartPole",
     "CartPoleParams",
     "CartPoleState",

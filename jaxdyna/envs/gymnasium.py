@@ -19,7 +19,7 @@ from gymnasium.vector.utils import batch_space
 
 from jaxdyna.types import Environment
 
-__all__ = ["HostEnv", "HostVectorEnv", "make_atari", "register", "spaces"]
+__all__ = ["HostEnv", "HostVectorEnv", "atari_emulator", "make_atari", "register", "spaces"]
 
 
 def register(env_id: str, env: Environment, params: Any, **spec: Any) -> None:
@@ -52,16 +52,32 @@ def make_atari(game: str, num_envs: int, **settings: Any) -> VectorEnv:
     Raises:
         ImportError: without the ``atari`` extra.
     """
+    _register_atari()
+    return gymnasium.make_vec(
+        f"ALE/{game}-v5", num_envs=num_envs, vectorization_mode="sync", **settings
+    )
+
+
+def atari_emulator(game: str) -> Any:
+    """The emulator itself of such a game, an ``ale_py.ALEInterface`` that repeats no actions.
+
+    Raises:
+        ImportError: without the ``atari`` extra.
+    """
+    _register_atari()
+    env: Any = gymnasium.make(f"ALE/{game}-v5", repeat_action_probability=0.0)
+    return env.unwrapped.ale
+
+
+def _register_atari() -> None:
     try:
         import ale_py  # noqa: PLC0415  (an extra that most people do without)
     except ImportError as error:
         raise ImportError(
             "the real Atari games need ale-py: python -m pip install 'jaxdyna[atari]'"
         ) from error
+    ale_py.ALEInterface.setLoggerMode(ale_py.LoggerMode.Error)  # no banner for every copy
     gymnasium.register_envs(ale_py)
-    return gymnasium.make_vec(
-        f"ALE/{game}-v5", num_envs=num_envs, vectorization_mode="sync", **settings
-    )
 
 
 class HostEnv(gymnasium.Env[np.ndarray, np.int64]):

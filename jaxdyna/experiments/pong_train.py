@@ -15,13 +15,13 @@ import jax.numpy as jnp
 
 from jaxdyna.agents import DQNConfig, dqn
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, Metrics
-from jaxdyna.envs import FrameStack, Pong, PongParams
+from jaxdyna.envs import AtariPong, FrameStack, Pong
 from jaxdyna.envs.stack import StackState
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.frame_dyna import frame_dyna
 from jaxdyna.experiments.pong_guided import GuidedDream, GuidedParams
 from jaxdyna.experiments.pong_judge import OBJECTS
-from jaxdyna.experiments.pong_options import adversary_config, game_of
+from jaxdyna.experiments.pong_options import adversary_config
 from jaxdyna.experiments.pong_train_options import (
     PRESETS,
     QUICK,
@@ -30,6 +30,7 @@ from jaxdyna.experiments.pong_train_options import (
     dyna_config,
     env_params,
     model_config,
+    world_of,
 )
 from jaxdyna.experiments.pong_train_report import PongReport
 from jaxdyna.experiments.run import Arm
@@ -51,7 +52,7 @@ TRUE_OBJECTS = {"true_ball": "ball", "true_own": "own paddle", "true_opponent": 
 class Parts(NamedTuple):
     """What decides the parts of an arm."""
 
-    game: Pong
+    game: Pong | AtariPong
     agent: DQNConfig
     model: PixelConfig | RectangleConfig
     adversary: AdversaryConfig | None
@@ -70,7 +71,7 @@ def make_dyna(parts: Parts) -> Dyna:
     return frame_dyna(env, agent, model, points)
 
 
-def points(real: Transition, begun: StackState, params: PongParams) -> Metrics:
+def points(real: Transition, begun: StackState, params: Any) -> Metrics:
     """Points of either side in one real episode ``[1, T]``."""
     del begun, params
     reward = real.reward * real.mask
@@ -96,7 +97,7 @@ def make_arms(options: Options) -> dict[str, Arm]:
     """The arms by name, each from the same parts. Dreams of all arms begin where those of ``dyna``
     do and are as many and as long.
     """
-    game, agent = game_of(options), agent_config(options)
+    game, agent = world_of(options), agent_config(options)
 
     def of(model: str) -> Dyna:
         other = adversary_config(options) if model == "adversarial" else None
@@ -107,7 +108,6 @@ def make_arms(options: Options) -> dict[str, Arm]:
     hparams = replace(options.hparams, env=env_params(options))
     untrained = replace(hparams, model_trains=False, disagreement_threshold=math.inf)
     alone = ours._replace(model=None, dream=None, diagnose=None)
-    oracle = ours._replace(dream=guided(ours, None), diagnose=None)
     busier = replace(agent, updates=agent.updates + agent.fake_updates)
     more = make_dyna(Parts(game, busier, model_config(options, "ours"), None))
     arms = {
@@ -117,8 +117,11 @@ def make_arms(options: Options) -> dict[str, Arm]:
         "dyna_l2": Arm(blurred, config, hparams),
         "dyna_adversarial": Arm(of("adversarial"), config, hparams),
         "placebo": Arm(ours, config, untrained),
-        "oracle": Arm(oracle, replace(config, model_updates=0), hparams),
     }
+    if options.game == "ale":
+        return arms
+    oracle = ours._replace(dream=guided(ours, None), diagnose=None)
+    arms["oracle"] = Arm(oracle, replace(config, model_updates=0), hparams)
     for name, thing in TRUE_OBJECTS.items():
         mended = blurred._replace(dream=guided(blurred, (OBJECTS[thing],)))
         arms[name] = Arm(mended, config, hparams)

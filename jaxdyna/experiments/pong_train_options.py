@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from jaxdyna.agents import DQNConfig, DQNHParams
 from jaxdyna.dyna import DynaConfig, DynaHParams
-from jaxdyna.envs import PongParams
+from jaxdyna.envs import AtariParams, AtariPong, Pong, PongParams
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.maze_train_options import SHARES
 from jaxdyna.experiments.pong_options import DREAM_FROM, config_of, game_of, params_of
@@ -21,6 +21,7 @@ ArmName = Literal[
     "model_free", "dyna", "dyna_l2", "dyna_adversarial", "placebo", "oracle", "more_updates",
     "true_ball", "true_own", "true_opponent",
 ]  # fmt: skip
+NEED_STATE = ("oracle", "true_ball", "true_own", "true_opponent")
 WINDOW = 20
 LEVEL = 0.0
 
@@ -32,7 +33,8 @@ class Options:
     part: Literal["train", "model"] = "train"
     """train: learning to play; model: frame prediction alone (a command line of its own)."""
     game: Literal["jax", "ale"] = "jax"
-    """jax: the pure game. The Atari 2600 game, ale, is there for --part model only."""
+    """jax: the pure game, objects exact; ale: the Atari 2600 game, objects by their colours (the
+    atari extra)."""
     preset: Literal["paper", "lean"] = "paper"
     """paper: the paper's models beside ours; lean: model_free and ours, and dreams sooner."""
     quick: bool = False
@@ -61,7 +63,7 @@ class Options:
     frame_skip: int = 4
     """The game's frames in a step."""
     serve_delay: int = 4
-    """The game's frames from a point to the next serve (63 in the real game)."""
+    """The game's frames from a point to the next serve (63 in the real game, which keeps them)."""
     real_first: int = 20
     """N of the paper: real episodes before the first dream."""
     look: Literal["places", "glimpses"] = "places"
@@ -111,13 +113,14 @@ class Options:
 
     def __post_init__(self) -> None:
         cli.check_common(self)
-        if self.game == "ale":
-            raise ValueError(
-                "--game ale: learning to play the Atari 2600 game is not built; choose --game jax, "
-                "or --part model"
-            )
         if not self.arms:
             raise ValueError("--arms is empty: name at least one arm")
+        hidden = [arm for arm in self.arms if arm in NEED_STATE]
+        if self.game == "ale" and hidden:
+            raise ValueError(
+                f"--arms {' '.join(hidden)} read the pure game's state off its frames: leave out, "
+                "or choose --game jax"
+            )
         if self.hparams.env != PongParams():
             raise ValueError(
                 "--hparams.env is decided by --steps and --serve-delay: leave it at its defaults"
@@ -194,9 +197,16 @@ def model_config(options: Options, model: str) -> PixelConfig | RectangleConfig:
     return replace(config, reward=SignedReward(), reward_weight=options.reward_weight)
 
 
-def env_params(options: Options) -> PongParams:
-    """The game's."""
-    return params_of(options)
+def world_of(options: Options) -> Pong | AtariPong:
+    """The game that is played, each object in a channel of its own."""
+    if options.game == "ale":
+        return AtariPong(options.frame_skip, options.scale)
+    return game_of(options)
+
+
+def env_params(options: Options) -> PongParams | AtariParams:
+    """The game's: episodes of so many steps."""
+    return AtariParams(options.steps) if options.game == "ale" else params_of(options)
 
 
 PAPER = Options()

@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxdyna.experiments import plots, plots_frames, report
+from jaxdyna.experiments.pong_games import games_said, scores
 from jaxdyna.experiments.pong_options import game_of
 from jaxdyna.experiments.pong_train_options import LEVEL, WINDOW, Options
 from jaxdyna.experiments.report import Results, interval, markdown_table
@@ -23,6 +24,7 @@ GREEDY_EPISODES = 20
 FILM_STEPS = 150
 SMOOTHED = 10
 MAIN_ARMS = ("model_free", "dyna_l2", "dyna_adversarial", "dyna")
+GAMES_SAID = {"jax": "the pure game", "ale": "the Atari 2600 game"}
 MEASURES = {
     "won": "points won an episode",
     "lost": "points lost an episode",
@@ -39,16 +41,18 @@ class PongReport:
 
     def analyse(self, arm: Arm, run: ArmRun, key: jax.Array) -> Curves:
         """The final greedy policies in new episodes: ``greedy_return`` ``[seeds, episodes]`` and
-        ``film_greedy``, frames of one of the first run's; and `cost_of_parts` of the first run.
+        ``film_greedy``, frames of one of the first run's; of the real game ``game_score`` ``[seeds,
+        games]`` of whole games; and `cost_of_parts` of the first run.
         """
         env, agent = arm.dyna.env, arm.dyna.agent
         greedy = replace(arm.hparams.agent, epsilon_first=0.0, epsilon_last=0.0)
         policies = replace(run.state.agent, real=None, fake=None)
 
-        def play(state, key, episodes):
-            def act(obs, key):
-                return agent.act(state, obs, key, greedy)
+        def actor(state):
+            return lambda obs, key: agent.act(state, obs, key, greedy)
 
+        def play(state, key, episodes):
+            act = actor(state)
             steps = self.options.steps
             return rollout(env, act, key, arm.hparams.env, episodes, num_steps=steps)
 
@@ -58,7 +62,13 @@ class PongReport:
         def filmed(state, key):
             return play(state, key, 1).next_obs[..., -3:]
 
-        key, key_cost, key_film = jax.random.split(key, 3)
+        def whole_games(policies, keys):
+            def game(pair):
+                return scores(env, actor(pair[0]), pair[1], env.default_params)
+
+            return jax.lax.map(game, (policies, keys))
+
+        key, key_cost, key_film, key_games = jax.random.split(key, 4)
         keys = jax.random.split(key, len(jax.tree.leaves(policies)[0]))
         returns = jax.jit(lambda *args: jax.lax.map(judge, args))(policies, keys)
         first = jax.tree.map(lambda leaf: leaf[0], run.state)
@@ -66,19 +76,19 @@ class PongReport:
         film = jax.jit(filmed)(alone, key_film)
         updates = (self.options.agent.updates, self.options.agent.fake_updates)
         kept = {"greedy_return": np.asarray(returns), "film_greedy": np.asarray(film)}
+        if self.options.game == "ale":
+            game_keys = jax.random.split(key_games, len(keys))
+            kept["game_score"] = np.asarray(jax.jit(whole_games)(policies, game_keys))
         return kept | cost_of_parts(arm, updates, first, key_cost)
 
     def describe(self, curves: Curves) -> Results:
         """The final greedy policy in numbers, and what a real episode costs."""
-        greedy = curves["greedy_return"].mean(1)
-        return {
-            "greedy_return": {
-                "mean": float(greedy.mean()),
-                "ci95": bootstrap_interval(greedy, lambda rows: rows.mean(-1)),
-                "per_seed": greedy.tolist(),
-            },
-            "cost": describe_cost(curves),
+        judged = {
+            name: _mean_of_runs(curves[name].mean(1))
+            for name in ("greedy_return", "game_score")
+            if name in curves
         }
+        return judged | {"cost": describe_cost(curves)}
 
     def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
         """``returns.png``, ``solved.png``, ``points.png``, ``film.gif``."""
@@ -114,8 +124,9 @@ class PongReport:
             "# Pong: learning to play",
             f"`{results['command']}`",
             f"{options.seeds} runs of each arm. An episode is {options.steps} steps of "
-            f"{options.frame_skip} frames of the pure game, its return the points won less those "
-            f"lost, so that 0 is as many points as the opponent. {str(options.rule).capitalize()}. "
+            f"{options.frame_skip} frames of {GAMES_SAID[options.game]}, its return the points won "
+            "less those lost, so that 0 is as many points as the opponent. "
+            f"{str(options.rule).capitalize()}. "
             "The rule is the same for all arms and counts every real episode. An unsolved run is "
             "never dropped: it leaves the mean undefined, and only a lower bound (≥) is known.",
             markdown_table(*report.arm_table(results, {}, WINDOW)),
@@ -127,6 +138,7 @@ class PongReport:
             "## The final policy",
             f"Greedy, {GREEDY_EPISODES} new episodes a run: mean point difference, 95% interval.",
             markdown_table(*_greedy(results)),
+            *games_said(results, options),
             "Red is the opponent, green the own paddle, blue the ball.",
             "![the first run's final policies](film.gif)",
             "## How",
@@ -146,6 +158,15 @@ class PongReport:
         for line in report.comparison(results, {}):
             console.print(line.replace("**", ""))
         console.print(f"{results['timing']['total_s']:.0f} s in all")
+
+
+def _mean_of_runs(values: np.ndarray) -> Results:
+    """Of one number a run."""
+    return {
+        "mean": float(values.mean()),
+        "ci95": bootstrap_interval(values, lambda rows: rows.mean(-1)),
+        "per_seed": values.tolist(),
+    }
 
 
 def _cause_said(results: Results) -> list[str]:
@@ -192,7 +213,10 @@ def _method(options: Options) -> str:
     return "\n".join(
         [
             f"- Frames of {side}x{side}, each object in a channel of its own; a ball is served "
-            f"{options.serve_delay} of the game's frames after a point (63 in the real game).",
+            f"{options.serve_delay} of the game's frames after a point (63 in the real game)."
+            if options.game == "jax"
+            else f"- Frames of {side}x{side}, each object, told by its colour, in a channel of its "
+            "own.",
             f"- Agent, in all arms: {'Double ' if agent.double else ''}DQN on four stacked frames "
             f"by {sees}, {agent.n_step}-step targets, discount {hparams.discount:g}, Adam at "
             f"{hparams.learning_rate:g}, batches of {agent.batch} drawn by priority with an "

@@ -1,0 +1,188 @@
+"""The Atari 2600 game of Pong as a pure function, so that it can be played like any environment.
+
+The whole emulator is the state: a step restores it on the host, plays a few frames and returns what
+it has become. So the same state and action give the same outcome, copies are batched by ``vmap``,
+episodes by ``lax.scan``; the copies of a batch are played by a thread for each core.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from jaxdyna.envs.gymnasium import atari_emulator, spaces
+from jaxdyna.envs.pong_rules import FIELD, NUM_ACTIONS
+from jaxdyna.envs.pong_screen import CHANNELS, Palette, blank, masks_by_colour, paint
+from jaxdyna.types import Key
+
+EMULATOR_BYTES = 16_384
+"""Room for a saved emulator, of which Pong takes 14,500."""
+SCREEN = (210, 160, 3)
+_here = threading.local()
+
+
+@struct.dataclass
+class AtariParams:
+    """What can be swept.
+
+    Attributes:
+        max_steps: steps until an episode is truncated.
+        no_ops: an episode begins with 1 to so many frames of doing nothing (Mnih et al. 2015).
+    """
+
+    max_steps: int | jax.Array = 6_750
+    no_ops: int | jax.Array = 30
+
+
+@struct.dataclass
+class AtariState:
+    """The saved emulator, uint8 ``[EMULATOR_BYTES]``, and steps taken."""
+
+    emulator: jax.Array
+    time: jax.Array
+
+
+@dataclass(frozen=True)
+class AtariPong:
+    """The real game (Bellemare et al. 2013), without repeated actions; actions, frames and rewards
+    are those of `jaxdyna.envs.Pong`. It needs the ``atari`` extra.
+
+    Attributes:
+        frame_skip: frames a step, all with the same action.
+        scale: as in `jaxdyna.envs.Pong`; with 1 the frame is the whole screen in its own colours.
+        palette: the colours of a smaller frame; objects are told by their colours on the screen.
+    """
+
+    frame_skip: int = 4
+    scale: int = 1
+    palette: Palette = CHANNELS
+
+    def __post_init__(self) -> None:
+        if self.frame_skip < 1:
+            raise ValueError(f"frame_skip is {self.frame_skip}: a step has at least 1 frame")
+        if self.scale < 1 or FIELD % self.scale:
+            raise ValueError(f"scale is {self.scale}: it must be a divisor of {FIELD}")
+
+    @property
+    def default_params(self) -> AtariParams:
+        """Games to 21 points, cut after the 27,000 frames of the literature."""
+        return AtariParams(max_steps=27_000 // self.frame_skip)
+
+    @property
+    def num_actions(self) -> int:
+        """Nothing, fire, up, down, up and fire, down and fire."""
+        return NUM_ACTIONS
+
+    @property
+    def frame_shape(self) -> tuple[int, int, int]:
+        """``(height, width, 3)``."""
+        return SCREEN if self.scale == 1 else (FIELD // self.scale, FIELD // self.scale, 3)
+
+    def reset(self, key: Key, params: AtariParams) -> tuple[jax.Array, AtariState]:
+        """A new game after some frames of doing nothing: ``obs, state``."""
+        waits = jax.random.randint(key, (), 1, jnp.maximum(params.no_ops, 1) + 1)
+        nothing = jnp.zeros(EMULATOR_BYTES, jnp.uint8)
+        saved, screen, *_ = _on_host(nothing, jnp.int32(0), waits)
+        return self._frame(screen), AtariState(saved, jnp.int32(0))
+
+    def step(
+        self, key: Key, state: AtariState, action: jax.Array, params: AtariParams
+    ) -> tuple[jax.Array, AtariState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+        """``frame_skip`` frames.
+
+        Returns:
+            ``obs, state, reward, terminated, truncated, info``: the reward is 1 for a point won and
+            -1 for one lost.
+        """
+        del key
+        saved, screen, reward, over = _on_host(
+            state.emulator, jnp.asarray(action, jnp.int32), jnp.int32(self.frame_skip)
+        )
+        new = replace(state, emulator=saved, time=state.time + 1)
+        return self._frame(screen), new, reward, over, new.time >= params.max_steps, {}
+
+    def _frame(self, screen: jax.Array) -> jax.Array:
+        if self.scale == 1:
+            return screen
+        below = blank(self.frame_shape, self.palette)
+        return paint(below, masks_by_colour(screen, self.scale, Palette()), self.palette)
+
+    def observation_space(self, params: AtariParams) -> spaces.Box:
+        """Bytes."""
+        del params
+        return spaces.Box(0, 255, self.frame_shape, np.uint8)
+
+    def action_space(self, params: AtariParams) -> spaces.Discrete:
+        """Nothing, fire, up, down, up and fire, down and fire."""
+        del params
+        return spaces.Discrete(self.num_actions)
+
+
+def _on_host(saved: jax.Array, action: jax.Array, frames: jax.Array) -> Any:
+    """``saved, screen, reward, over`` after so many frames; all zeros is a new game."""
+    shapes = (
+        jax.ShapeDtypeStruct((EMULATOR_BYTES,), jnp.uint8),
+        jax.ShapeDtypeStruct(SCREEN, jnp.uint8),
+        jax.ShapeDtypeStruct((), jnp.float32),
+        jax.ShapeDtypeStruct((), jnp.bool_),
+    )
+    return jax.pure_callback(_play, shapes, saved, action, frames, vmap_method="broadcast_all")
+
+
+def _play(saved: Any, action: Any, frames: Any) -> Any:
+    """`_on_host` for arrays with any leading axes."""
+    saved, action, frames = (np.asarray(leaf) for leaf in (saved, action, frames))
+    lead = action.shape
+    rows = (saved.reshape(-1, EMULATOR_BYTES), action.reshape(-1), frames.reshape(-1))
+    played = list(_threads().map(_play_one, *rows))
+    dtypes = (np.uint8, np.uint8, np.float32, np.bool_)
+    columns = zip(zip(*played, strict=True), dtypes, strict=True)
+    stacks: Any = (np.stack(column).astype(dtype, copy=False) for column, dtype in columns)
+    return tuple(stack.reshape((*lead, *stack.shape[1:])) for stack in stacks)
+
+
+def _play_one(saved: np.ndarray, action: int, frames: int) -> tuple[np.ndarray, Any, float, bool]:
+    if not hasattr(_here, "emulator"):
+        _here.emulator = atari_emulator("Pong")
+        _here.blank = _here.emulator.cloneState(include_rng=True)
+    ale = _here.emulator
+    if saved.any():
+        ale.restoreState(_unpacked(saved, _here.blank))
+    else:
+        ale.reset_game()
+    buttons = ale.getMinimalActionSet()
+    reward = sum(ale.act(buttons[int(action)]) for _ in range(int(frames)))
+    return _packed(ale.cloneState(include_rng=True)), ale.getScreenRGB(), reward, ale.game_over()
+
+
+def _packed(state: Any) -> np.ndarray:
+    """A saved emulator as bytes, how many of them first."""
+    data = state.__getstate__()
+    if len(data) > EMULATOR_BYTES - 4:
+        raise RuntimeError(f"a saved emulator has {len(data)} bytes, room is for {EMULATOR_BYTES}")
+    room = np.zeros(EMULATOR_BYTES, np.uint8)
+    room[:4] = np.frombuffer(np.uint32(len(data)).tobytes(), np.uint8)
+    room[4 : 4 + len(data)] = np.frombuffer(data, np.uint8)
+    return room
+
+
+def _unpacked(room: np.ndarray, like: Any) -> Any:
+    size = int(np.frombuffer(room[:4].tobytes(), np.uint32)[0])
+    kind: Any = type(like)
+    state = kind.__new__(kind)
+    state.__setstate__(room[4 : 4 + size].tobytes())
+    return state
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="atari")
