@@ -153,12 +153,9 @@ def _play(saved: Any, action: Any, frames: Any) -> Any:
 def _play_one(saved: np.ndarray, action: int, frames: int) -> tuple[np.ndarray, Any, float, bool]:
     if not hasattr(_here, "emulator"):
         _here.emulator = atari_emulator("Pong")
-        _here.blank = _here.emulator.cloneState(include_rng=True)
+        _here.start = _here.emulator.cloneState(include_rng=True)
     ale = _here.emulator
-    if saved.any():
-        ale.restoreState(_unpacked(saved, _here.blank))
-    else:
-        ale.reset_game()
+    ale.restoreState(_unpacked(saved, _here.start) if saved.any() else _here.start)
     buttons = ale.getMinimalActionSet()
     reward = sum(ale.act(buttons[int(action)]) for _ in range(int(frames)))
     return _packed(ale.cloneState(include_rng=True)), ale.getScreenRGB(), reward, ale.game_over()

@@ -59,13 +59,15 @@ def make_atari(game: str, num_envs: int, **settings: Any) -> VectorEnv:
 
 
 def atari_emulator(game: str) -> Any:
-    """The emulator itself of such a game, an ``ale_py.ALEInterface`` that repeats no actions.
+    """The emulator itself of such a game at its start, an ``ale_py.ALEInterface`` that repeats no
+    actions; always the same.
 
     Raises:
         ImportError: without the ``atari`` extra.
     """
     _register_atari()
     env: Any = gymnasium.make(f"ALE/{game}-v5", repeat_action_probability=0.0)
+    env.reset(seed=0)
     return env.unwrapped.ale
 
 

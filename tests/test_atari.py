@@ -1,0 +1,109 @@
+"""The Atari game as a pure function, against Gymnasium's own; skipped without the atari extra."""
+
+import sys
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette
+from jaxdyna.envs.gymnasium import make_atari
+from jaxdyna.envs.pong_screen import masks_by_colour, paint
+from jaxdyna.experiments import pong, pong_games
+from jaxdyna.rollout import rollout
+
+ONE_NO_OP = 1
+
+
+def test_without_the_extra_a_line_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ale_py", None)
+    with pytest.raises(ImportError, match=r"pip install 'jaxdyna\[atari\]'"):
+        make_atari("Pong", 1)
+
+
+def test_a_game_that_cannot_be_read_refuses_what_reads_it(capsys):
+    with pytest.raises(SystemExit) as error:
+        pong.main(["--game", "ale", "--arms", "dyna", "true_ball"])
+    assert error.value.code == 2
+    assert "--arms true_ball read the pure game's state" in capsys.readouterr().err
+
+
+@pytest.fixture
+def env():
+    pytest.importorskip("ale_py")
+    return AtariPong(scale=1)
+
+
+def played(env, actions, key, **params):
+    """Screens and rewards of one game, by jitted steps."""
+    params = env.default_params.replace(**params)
+    obs, state = jax.jit(env.reset)(key, params)
+    step, seen, rewards = jax.jit(env.step), [obs], []
+    for action in actions:
+        obs, state, reward, *_ = step(key, state, action, params)
+        seen.append(obs)
+        rewards.append(float(reward))
+    return np.stack(seen), np.array(rewards)
+
+
+def test_plays_as_gymnasium_does(env):
+    theirs = gymnasium.make("ALE/Pong-v5", repeat_action_probability=0.0, obs_type="rgb")
+    theirs.reset(seed=0)
+    theirs.unwrapped.ale.act(0)
+    actions = np.random.default_rng(0).integers(0, env.num_actions, 150)
+    screens, rewards = played(env, actions, jax.random.key(0), no_ops=ONE_NO_OP)
+    for number, action in enumerate(actions):
+        screen, reward, *_ = theirs.step(action)
+        assert reward == rewards[number]
+        np.testing.assert_array_equal(screen, screens[number + 1])
+    assert rewards.min() == -1, "no point was played"
+    assert env.action_space(None).n == theirs.action_space.n
+
+
+def test_batches_episodes_and_repeats_are_the_same_game(env):
+    stack = FrameStack(AtariPong(scale=4))
+    params = stack.default_params
+
+    def act(obs, key):
+        return jax.random.randint(key, (), 0, stack.num_actions)
+
+    def play(key):
+        return rollout(stack, act, key, params, 3, num_steps=12)
+
+    keys = jax.random.split(jax.random.key(1), 2)
+    both = jax.jit(jax.vmap(play))(jax.random.clone(keys))
+    for number in range(2):
+        alone = play(jax.random.clone(keys)[number])
+        jax.tree.map(
+            lambda many, one, at=number: np.testing.assert_array_equal(many[at], one), both, alone
+        )
+    assert len(np.unique(both.obs[:, :, -1].reshape(6, -1), axis=0)) > 1, "all games are the same"
+
+
+def test_a_small_frame_shows_the_objects_of_the_screen(env):
+    small = AtariPong(scale=4)
+    actions = [2] * 30
+    screens, _ = played(env, actions, jax.random.key(2))
+    frames, _ = played(small, actions, jax.random.key(2))
+    masks = masks_by_colour(jnp.asarray(screens), 4, Palette())
+    shown = paint(jnp.zeros(frames.shape, jnp.uint8), masks, CHANNELS)
+    np.testing.assert_array_equal(frames, shown)
+    assert frames[-1].any((0, 1)).all(), "an object is missing"
+
+
+def test_who_does_nothing_loses_a_whole_game(env):
+    small = AtariPong(frame_skip=8, scale=8)
+    points = pong_games.scores(
+        small, lambda obs, key: jnp.int32(0), jax.random.key(3), small.default_params, games=2
+    )
+    np.testing.assert_array_equal(points, [-21, -21])
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"), [({"frame_skip": 0}, "at least 1"), ({"scale": 3}, "divisor of 160")]
+)
+def test_settings_that_cannot_be_are_refused(settings, words):
+    with pytest.raises(ValueError, match=words):
+        AtariPong(**settings)
