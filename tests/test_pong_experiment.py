@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from jaxdyna import frame_replay
-from jaxdyna.envs import CHANNELS, FrameStack, Palette
-from jaxdyna.envs.pong_screen import empty_screen, paint, screen_masks
+from jaxdyna.envs import FrameStack
 from jaxdyna.experiments import pong, pong_ale, pong_train_report
 from jaxdyna.experiments.pong_data import Player, choose, middle_row, play, take, view_of
 from jaxdyna.experiments.pong_guided import GuidedDream, GuidedParams, read_state
@@ -137,13 +136,9 @@ def test_points_are_counted_for_either_side():
     assert (said["won"], said["lost"]) == (1, 2)
 
 
-def test_screens_are_reduced_to_what_the_pure_game_shows(played):
+def test_a_middle_row_is_told_from_a_small_frame(played):
     state = jax.tree.map(lambda leaf: leaf[0, 12], played.world)
-    screen = paint(empty_screen(state, Palette()), screen_masks(state), Palette())
-    small = pong_ale.reduced(screen, 4)
-    np.testing.assert_array_equal(small, paint(jnp.zeros((40, 40, 3), jnp.uint8),
-                                               GAME.object_masks(state), CHANNELS))  # fmt: skip
-    row, seen = middle_row(small[..., OBJECTS["own paddle"]] > 0, 4)
+    row, seen = middle_row(GAME.frame(state)[..., OBJECTS["own paddle"]] > 0, 4)
     assert seen and abs(float(row) - (int(state.own) + 8)) <= 3
 
 

@@ -50,7 +50,7 @@ class Options(VariantOptions):
     """Only lean: whose models and policies are used."""
     quick: bool = False
     """A look at everything in two minutes: few runs, few budgets, a small board."""
-    seeds: int = 20
+    seeds: int = 12
     """Runs of every arm on CartPole."""
     episodes: int = 180
     """Real episodes of a run at the most."""

@@ -68,9 +68,9 @@ class Sizes:
         board: the Maze's cells a side, obstacles, steps of an episode.
     """
 
-    runs: tuple[int, int] = (4, 3)
+    runs: tuple[int, int] = (4, 2)
     cartpole_episodes: int = 30
-    maze_episodes: tuple[int, ...] = (20, 40)
+    maze_episodes: tuple[int, ...] = (30,)
     played: tuple[int, int] = (3, 5)
     candidates: tuple[int, ...] = (8, 32)
     simulations: tuple[int, ...] = (4, 16)
