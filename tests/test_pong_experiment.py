@@ -221,7 +221,7 @@ def test_frame_prediction_leaves_tables_and_figures(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--game", "ale"], "not built"),
+        (["--game", "ale", "--arms", "true_ball"], "--game jax"),
         (["--arms"], "--arms"),
         (["--steps", "9"], "--steps"),
         (["--glimpse", "4"], "odd"),

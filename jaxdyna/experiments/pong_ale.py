@@ -72,17 +72,18 @@ def _play(game: AtariPong, steps: int, copies: int, mixed: Any, key: Key) -> tup
         player = draw_player(key_player, mixed)
         first, state = game.reset(key_reset, params)
 
-        def step(carry: Any, key: Key) -> Any:
-            frame, state = carry
-            key_act, key_step = jax.random.split(key)
+        def step(carry: Any, nothing: None) -> Any:
+            del nothing
+            frame, state, key = carry
+            key, key_act, key_step = jax.random.split(key, 3)
             ball, seen = middle_row(frame[..., OBJECTS["ball"]] > 0, game.scale)
             own, _ = middle_row(frame[..., OBJECTS["own paddle"]] > 0, game.scale)
             action = choose(player, ball, own, seen, key_act)
             frame, state, reward, over, *_ = game.step(key_step, state, action, params)
-            return (frame, state), (frame, action, reward, over)
+            return (frame, state, key), (frame, action, reward, over)
 
-        keys = jax.random.split(key_steps, steps)
-        frames, action, reward, over = jax.lax.scan(step, (first, state), keys)[1]
+        start = (first, state, key_steps)
+        frames, action, reward, over = jax.lax.scan(step, start, length=steps)[1]
         return Played(jnp.concatenate([first[None], frames]), action, reward), over.any()
 
     return jax.vmap(one)(jax.random.split(key, copies))
