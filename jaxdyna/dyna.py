@@ -185,17 +185,20 @@ def _remember(dyna, config, state, real, episode, key) -> tuple[DynaState, Metri
 
 
 def train_model(dyna, config, state, key_sample, key_update, hparams) -> tuple[Any, Metrics]:
-    """Gradient steps on all that is stored; returns the model's new state."""
+    """Gradient steps on all that is stored, each batch (of frames a large one) taken in its turn;
+    returns the model's new state.
+    """
     shape = (config.model_updates, config.model_batch)
-    batches = dyna.memory.sample(state.replay, key_sample, shape, config.rare_share)
 
-    def update(carry, batch):
+    def update(carry, numbers):
         model, key = carry
         key, key_now = jax.random.split(key)
+        batch = dyna.memory.take(state.replay, numbers)
         model, losses = dyna.model.update(model, batch, key_now, hparams.model)
         return (model, key), losses
 
-    (model, _), losses = jax.lax.scan(update, (state.model, key_update), batches)
+    drawn = dyna.memory.draw(state.replay, key_sample, shape, config.rare_share)
+    (model, _), losses = jax.lax.scan(update, (state.model, key_update), drawn)
     loss = losses["loss"].mean() if config.model_updates else jnp.float32(0)
     model = jax.tree.map(
         lambda new, old: jnp.where(hparams.model_trains, new, old), model, state.model

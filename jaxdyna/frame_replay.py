@@ -189,14 +189,16 @@ def sample(
     Returns:
         A `Transition` ``[*shape, ...]``, each as it was added.
     """
+    return take(replay, draw_numbers(replay, key, shape, weight))
+
+
+def draw_numbers(
+    replay: FrameReplay, key: Key, shape: tuple[int, ...], weight: jax.Array | None = None
+) -> jax.Array:
+    """The numbers of the transitions of `sample`, int32 ``[*shape]``."""
     if weight is None:
-        return take(replay, sample_numbers(replay, key, shape))
-    return take(replay, replay.number(draw(weight, key, shape)))
-
-
-def sample_numbers(replay: FrameReplay, key: Key, shape: tuple[int, ...]) -> jax.Array:
-    """Numbers of transitions that are held, uniformly and with replacement, int32 ``[*shape]``."""
-    return replay.oldest + jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
+        return replay.oldest + jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
+    return replay.number(draw(weight, key, shape))
 
 
 def take(replay: FrameReplay, number: jax.Array) -> Transition:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,16 +23,19 @@ def transitions() -> Memory:
 
     def draw_some(
         held: Replay, key: Key, shape: tuple[int, ...], rare_share: float | None
-    ) -> Transition:
+    ) -> jax.Array:
         if rare_share is None:
-            return replay.sample(held, key, shape)
+            return replay.draw_positions(held, key, shape)
         weight = share_weight(held.held, held.data.terminated, rare_share)
-        return replay.sample(held, key, shape, weight)
+        return replay.draw_positions(held, key, shape, weight)
 
     def forget(held: Replay, when: jax.Array) -> Replay:
         return replace(held, added=jnp.where(when, 0, held.added))
 
-    return Memory(start, lambda held, new: replay.add(held, new, new.mask), draw_some, forget)
+    def put(held: Replay, new: Transition) -> Replay:
+        return replay.add(held, new, new.mask)
+
+    return Memory(start, put, draw_some, replay.take, forget)
 
 
 def frames(rare: Callable[[dict[str, jax.Array]], jax.Array], num_frames: int = 4) -> Memory:
@@ -47,15 +49,17 @@ def frames(rare: Callable[[dict[str, jax.Array]], jax.Array], num_frames: int = 
     def start(capacity: int, episodes: int, example: Transition) -> FrameReplay:
         return frame_replay.init(capacity, episodes, example, num_frames)
 
-    def draw_some(held: Any, key: Key, shape: tuple[int, ...], rare_share: float | None):
+    def draw_some(
+        held: FrameReplay, key: Key, shape: tuple[int, ...], rare_share: float | None
+    ) -> jax.Array:
         if rare_share is None:
-            return frame_replay.sample(held, key, shape)
+            return frame_replay.draw_numbers(held, key, shape)
         weight = share_weight(held.held, rare(held.rest), rare_share)
-        return frame_replay.sample(held, key, shape, weight)
+        return frame_replay.draw_numbers(held, key, shape, weight)
 
     def forget(held: FrameReplay, when: jax.Array) -> FrameReplay:
         counts = (held.added, held.episodes_added, held.first)
         added, episodes, first = (jnp.where(when, 0, count) for count in counts)
         return replace(held, added=added, episodes_added=episodes, first=first)
 
-    return Memory(start, frame_replay.add, draw_some, forget)
+    return Memory(start, frame_replay.add, draw_some, frame_replay.take, forget)

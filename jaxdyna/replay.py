@@ -97,11 +97,21 @@ def sample(
     Returns:
         Every leaf ``[*shape, ...]``.
     """
+    return take(replay, draw_positions(replay, key, shape, weight))
+
+
+def draw_positions(
+    replay: Replay, key: Key, shape: tuple[int, ...], weight: jax.Array | None = None
+) -> jax.Array:
+    """Where the items of `sample` lie, int32 ``[*shape]``."""
     if weight is None:
-        index = jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
-    else:
-        index = draw(weight, key, shape)
-    return jax.tree.map(lambda leaf: leaf[index], replay.data)
+        return jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
+    return draw(weight, key, shape)
+
+
+def take(replay: Replay, position: jax.Array) -> PyTree:
+    """The items at these positions ``[...]``, every leaf ``[..., ...]``."""
+    return jax.tree.map(lambda leaf: leaf[position], replay.data)
 
 
 def sample_distinct(replay: Replay, key: Key, count: int) -> PyTree:

@@ -108,14 +108,16 @@ class Memory(NamedTuple):
         init: ``(capacity, episodes, example) -> memory``: an empty one for so many transitions and
             episodes like the example ``[...]``.
         add: ``(memory, transitions) -> memory`` with whole episodes ``[N, T]``.
-        sample: ``(memory, key, shape, rare_share) -> transitions`` with leading axes ``shape``, a
-            share of them, or more, rare ones (the memory knows which); None draws all alike.
+        draw: ``(memory, key, shape, rare_share) -> numbers`` of transitions, int ``shape``, a share
+            of them, or more, of rare ones (the memory knows which); None draws all alike.
+        take: ``(memory, numbers) -> transitions`` with the numbers' axes leading.
         forget: ``(memory, when) -> memory``: emptied where ``when`` is true.
     """
 
     init: Callable[[int, int, Any], Any]
     add: Callable[[Any, Transition], Any]
-    sample: Callable[[Any, Key, tuple[int, ...], float | None], Transition]
+    draw: Callable[[Any, Key, tuple[int, ...], float | None], jax.Array]
+    take: Callable[[Any, jax.Array], Transition]
     forget: Callable[[Any, jax.Array], Any]
 
 

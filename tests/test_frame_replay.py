@@ -125,9 +125,10 @@ def test_memory_draws_rare_transitions_and_forgets():
     episodes = episodes._replace(reward=jnp.zeros((2, 7)).at[1, 3].set(1.0))
     memory = frames(lambda rest: rest["reward"] > 0)
     held = memory.add(memory.init(64, 9, example(episodes)), episodes)
-    drawn = memory.sample(held, jax.random.key(0), (400,), 0.5)
+    drawn = memory.take(held, memory.draw(held, jax.random.key(0), (400,), 0.5))
     assert drawn.reward.mean() == pytest.approx(0.5, abs=0.08)
-    assert memory.sample(held, jax.random.key(0), (400,), None).reward.mean() < 0.2
+    alike = memory.take(held, memory.draw(held, jax.random.key(0), (400,), None))
+    assert alike.reward.mean() < 0.2
     emptied = memory.forget(held, jnp.bool_(True))
     assert int(emptied.size) == 0
     assert int(memory.add(emptied, play(1, 1)).size) == 7

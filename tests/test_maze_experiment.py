@@ -132,7 +132,7 @@ def test_a_stage_sees_its_own_episodes_only():
     assert int(few.size) == int(alone.size) == 24
     numbers = jnp.arange(24)
     assert_same(frame_replay.take(few, numbers), frame_replay.take(alone, numbers))
-    drawn = frame_replay.sample_numbers(few, jax.random.key(1), (2000,))
+    drawn = frame_replay.draw_numbers(few, jax.random.key(1), (2000,))
     assert (drawn.min(), drawn.max()) == (0, 23)
 
 
