@@ -194,7 +194,7 @@ def config_of(options: Options, arm: str) -> PixelConfig | RectangleConfig:
     """
     optimizer = decayed_adam(training_of(options, arm).weight_decay)
     if arm == "ours":
-        reach = (48 // options.scale, 12 // options.scale + 1)
+        reach = (80 // options.scale, 12 // options.scale + 1)
         hidden, dropout = tuple(options.hidden), options.dropout
         return RectangleConfig(reach, hidden=hidden, dropout=dropout, optimizer=optimizer)
     coder = EncoderDecoder(

@@ -12,6 +12,7 @@ from jaxdyna.envs import AtariParams, AtariPong, Pong, PongParams
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.maze_train_options import SHARES
 from jaxdyna.experiments.pong_options import DREAM_FROM, config_of, game_of, params_of
+from jaxdyna.experiments.pong_options import PAPER as PREDICTION
 from jaxdyna.experiments.pong_options import Options as Frames
 from jaxdyna.models import AdversarialHParams, PixelConfig, RectangleConfig
 from jaxdyna.networks import GlimpseQ, PlaceQ, SignedReward
@@ -80,30 +81,36 @@ class Options:
     """Width of its dense layer."""
     hidden: tuple[int, ...] = (256, 256)
     """Widths of the perceptrons of our model."""
-    dropout: float = 0.3
+    dropout: float = 0.2
     """Share of the features that a gradient step of our model does without."""
+    weight_decay: float = 0.3
+    """Of AdamW, for our model."""
     reward_weight: float = 5.0
     """Weight of the reward's squared error beside the frame's loss, in the paper's models."""
     model_updates: int = 100
     """Gradient steps of the model after each real episode."""
-    model_batch: int = 32
+    model_batch: int = 64
     """Transitions in each gradient step of the model."""
     rare_share: float | None = 0.25
     """At least this share of each model batch are points won and lost; None: as they come."""
     dream_episodes: int = 200
     """Fake episodes after each real one."""
-    dream_steps: int = 10
+    dream_steps: int = 20
     """The longest fake episode; each begins at a real stack of frames."""
     agent: DQNConfig = field(
         default_factory=lambda: DQNConfig(
-            updates=100, fake_updates=200, n_step=3, fake_capacity=20_000
+            updates=100, fake_updates=400, n_step=3, fake_capacity=40_000
         )
     )
     """Updates, batches and replays of the agent (DQN)."""
     hparams: DynaHParams = field(
         default_factory=lambda: DynaHParams(
             agent=DQNHParams(
-                discount=0.97, epsilon_hold=20.0, epsilon_episodes=30.0, epsilon_last=0.02
+                discount=0.97,
+                epsilon_hold=20.0,
+                epsilon_episodes=30.0,
+                epsilon_last=0.02,
+                epsilon_fake=0.1,
             ),
             model=AdversarialHParams(2e-3, 1.0, 2e-3),
             env=PongParams(),
@@ -154,7 +161,8 @@ def frames_of(options: Options) -> Frames:
         "hidden", "dropout",
     )  # fmt: skip
     same = {name: getattr(options, name) for name in names}
-    return Frames(**same, horizon=1, dreams=1)
+    ours = replace(PREDICTION.ours, weight_decay=options.weight_decay)
+    return replace(PREDICTION, **same, horizon=1, dreams=1, ours=ours)
 
 
 def dyna_config(options: Options) -> DynaConfig:
@@ -217,7 +225,7 @@ LEAN = replace(
     real_first=5,
     hparams=replace(
         PAPER.hparams,
-        agent=replace(PAPER.hparams.agent, epsilon_hold=10.0, epsilon_episodes=15.0),
+        agent=replace(PAPER.hparams.agent, epsilon_hold=5.0, epsilon_episodes=10.0),
     ),
 )
 PRESETS = {"paper": PAPER, "lean": LEAN}

@@ -16,13 +16,8 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.networks.rectangles import (
-    EdgeOdds,
-    RectangleDynamics,
-    Rectangles,
-    drawn,
-    rectangles_of,
-)
+from jaxdyna.networks.contacts import Rectangles
+from jaxdyna.networks.rectangles import EdgeOdds, RectangleDynamics, drawn, rectangles_of
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 
 
@@ -40,8 +35,8 @@ class RectangleConfig:
         optimizer: from a learning rate to an optax transformation.
     """
 
-    reach: tuple[int, int] = (12, 4)
-    groups: tuple[tuple[int, ...], ...] = ((0, 1), (2,))
+    reach: tuple[int, int] = (20, 4)
+    groups: tuple[tuple[int, ...], ...] = ((0,), (1,), (2,))
     hidden: tuple[int, ...] = (256, 256)
     dropout: float = 0.0
     draws: bool = False

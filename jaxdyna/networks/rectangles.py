@@ -9,24 +9,11 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
+from jaxdyna.networks.contacts import Rectangles, change, each_alone, moves, pairs
 from jaxdyna.types import Key
 
 UNLIKELY = -30.0
 """Log odds of an edge further away than a thing can move."""
-PARTS_OF_A_STEP = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Moments at which things that go on as they did are compared."""
-
-
-class Rectangles(NamedTuple):
-    """Of each channel the rectangle around all that is lit, leaves ``[..., C, ...]``.
-
-    Attributes:
-        edge: first and last row, first and last column, int32 ``[..., 4]``; 0 where nothing is lit.
-        seen: whether anything is, bool.
-    """
-
-    edge: jax.Array
-    seen: jax.Array
 
 
 def rectangles_of(stack: jax.Array, channels: int) -> Rectangles:
@@ -77,8 +64,9 @@ class RectangleDynamics(nn.Module):
     """How likely each edge of each rectangle comes to lie in each row or column: the last edge's
     place and a move of so many cells, each with a probability of its own, or for a thing that was
     not there places learned for it. Categories do not blur: what is uncertain stays a choice.
-    A perceptron decides, group of channels after group, each told where those before it have gone
-    to, so that a thing that bounces off another one agrees with where that one is.
+    A perceptron decides, group of channels after group, from what `jaxdyna.networks.contacts` tells
+    it: the things that are decided go where they have been put, the others on as they did, so that
+    a thing that bounces off another one agrees with where that one is.
 
     Attributes:
         size: of the picture, ``(height, width)``.
@@ -116,26 +104,32 @@ class RectangleDynamics(nn.Module):
             of a reward of -1, 0 and 1.
         """
         now = Rectangles(past.edge[:, -1], past.seen[:, -1])
-        known = features(past, self.size, self.reach)
-        if key is not None and self.dropout > 0:
-            kept = jax.random.bernoulli(key, 1 - self.dropout, known.shape)
-            known = jnp.where(kept, known, 0) / (1 - self.dropout)
-        known, decided = jnp.concatenate([known, action], axis=-1), []
-        order = [channel for group in self.groups for channel in group]
-        for group in self.groups:
-            x = self._perceptron(known)
+        alone, shift = each_alone(past, self.size, self.reach), moves(past)[:, -1]
+        decided, news = [], action
+        for number, group in enumerate(self.groups):
+            known = jnp.concatenate([alone, pairs(now, shift, self.reach)], axis=-1)
+            if key is not None and self.dropout > 0:
+                key_group = jax.random.fold_in(key, number)
+                kept = jax.random.bernoulli(key_group, 1 - self.dropout, known.shape)
+                known = jnp.where(kept, known, 0) / (1 - self.dropout)
+            x = self._perceptron(jnp.concatenate([known, news], axis=-1))
             at = jnp.array(group)
-            odds = self._odds(x, Rectangles(now.edge[:, at], now.seen[:, at]))
+            before = Rectangles(now.edge[:, at], now.seen[:, at])
+            odds = self._odds(x, before)
             then = settle(odds, group)
-            news = change(Rectangles(now.edge[:, at], now.seen[:, at]), then, self.reach)
-            known = jnp.concatenate([known, news], axis=-1)
+            told = change(before, then, self.reach)
+            news = jnp.concatenate([news, told], axis=-1)
+            there = (before.seen & then.seen)[..., None]
+            went = jnp.where(there, then.edge - before.edge, 0).astype(jnp.float32)
+            shift = shift.at[:, at].set(went)
             decided.append((odds, then))
+        order = [channel for group in self.groups for channel in group]
         back = jnp.argsort(jnp.array(order))
         odds, then = (
             jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=1)[:, back], *part)
             for part in zip(*decided, strict=True)
         )
-        return odds, then, nn.Dense(3)(jnp.concatenate([x, news], axis=-1))
+        return odds, then, nn.Dense(3)(jnp.concatenate([x, told], axis=-1))
 
     def _perceptron(self, x: jax.Array) -> jax.Array:
         for width in self.hidden:
@@ -162,48 +156,3 @@ class RectangleDynamics(nn.Module):
         rows = places(now.edge[..., :2], self.reach[0], self.size[0])
         columns = places(now.edge[..., 2:], self.reach[1], self.size[1])
         return EdgeOdds(rows, columns, head()[...])
-
-
-def features(past: Rectangles, size: tuple[int, int], reach: tuple[int, int]) -> jax.Array:
-    """What a perceptron is told of the rectangles of a stack ``[N, frames, C]``: places over the
-    picture's size and moves, in numbers; then the newest places, the moves, and how far each thing
-    is from each other one if both go on as they did, cell by cell. What happens often hangs on a
-    single cell, which a perceptron sees late in a scaled number and at once in such a tile.
-    """
-    edge, seen = past.edge.astype(jnp.float32), past.seen
-    lengths = jnp.array([size[0]] * 2 + [size[1]] * 2, jnp.float32)
-    both = (seen[:, 1:] & seen[:, :-1])[..., None]
-    moved = jnp.where(both, edge[:, 1:] - edge[:, :-1], 0)
-    parts = [jnp.where(seen[..., None], 2 * edge / lengths - 1, 0), seen, moved / 4]
-    there = seen[:, -1, :, None]
-    for axis, (cells, far) in enumerate(zip(size, reach, strict=True)):
-        of_axis = slice(2 * axis, 2 * axis + 2)
-        parts.append(there[..., None] * tiles(edge[:, -1, :, of_axis], 0, cells - 1))
-        parts.append(both[..., None] * tiles(moved[..., of_axis], -far, far))
-    first, second = jnp.triu_indices(seen.shape[-1], 1)
-    together = (seen[:, -1, first] & seen[:, -1, second])[..., None]
-    for part in PARTS_OF_A_STEP:
-        ahead = edge[:, -1, :, ::2] + part * moved[:, -1, :, ::2]
-        apart = ahead[:, second] - ahead[:, first]
-        for axis, far in enumerate(reach):
-            span = 3 * far if axis else far
-            near = jnp.clip(apart[..., axis], -span - 1, span + 1)
-            parts.append(together * tiles(near, -span, span))
-    return jnp.concatenate([part.reshape(len(part), -1) for part in parts], axis=-1)
-
-
-def change(now: Rectangles, then: Rectangles, reach: tuple[int, int]) -> jax.Array:
-    """What became of things ``[N, G]``, for a perceptron ``[N, features]``."""
-    both = (now.seen & then.seen)[..., None]
-    moved = jnp.where(both, then.edge - now.edge, 0).astype(jnp.float32)
-    parts = [then.seen, moved / 4]
-    for axis, far in enumerate(reach):
-        parts.append(both[..., None] * tiles(moved[..., 2 * axis : 2 * axis + 2], -far, far))
-    return jnp.concatenate([part.reshape(len(part), -1) for part in parts], axis=-1)
-
-
-def tiles(x: jax.Array, first: int, last: int) -> jax.Array:
-    """``[..., last - first + 1]``: 1 at the whole number that ``x`` is, or shared by its
-    neighbours.
-    """
-    return nn.relu(1 - jnp.abs(x[..., None] - jnp.arange(first, last + 1, dtype=x.dtype)))
