@@ -11,6 +11,7 @@ from jaxdyna import frame_replay
 from jaxdyna.envs import FrameStack
 from jaxdyna.experiments import pong, pong_ale, pong_train_report
 from jaxdyna.experiments.pong_data import Player, choose, middle_row, play, take, view_of
+from jaxdyna.experiments.pong_equal import by_tens, equal_episodes
 from jaxdyna.experiments.pong_guided import GuidedDream, GuidedParams, read_state
 from jaxdyna.experiments.pong_judge import OBJECTS, counts, precision, recall
 from jaxdyna.experiments.pong_options import Options, game_of, params_of
@@ -151,6 +152,19 @@ def test_the_real_game_is_collected():
     assert sizes[:, OBJECTS["own paddle"]].all() and sizes[:, OBJECTS["opponent"]].all()
     seen = take(pong_ale.VIEW, jax.tree.map(jnp.array, real), jnp.array([1]), jnp.array([19]))
     np.testing.assert_array_equal(seen.next_obs[0, ..., -3:], real.world[1, 20])
+
+
+def test_arms_are_compared_where_all_have_played():
+    """By hand: the longer arm's later episodes do not count; differences are run by run."""
+    short = np.repeat([[0.0, 1.0], [2.0, 3.0]], 10, axis=1)
+    long = np.repeat([[-1.0, 0.0, 9.0], [0.0, 2.0, 9.0]], 10, axis=1)
+    arms = {name: {"by_tens": by_tens(played)} for name, played in
+            {"model_free": long[:, :-3], "dyna": short}.items()}  # fmt: skip
+    assert arms["model_free"]["by_tens"] == [[-1, 0], [0, 2]]
+    said, table = equal_episodes({"arms": arms})
+    assert "episodes 1 to 20" in said
+    assert "| dyna | 1.50 (0.50 to 2.50) | +1.25 (1.00 to 1.50) |" in table
+    assert not equal_episodes({"arms": {"dyna": arms["dyna"]}})
 
 
 def test_a_signed_reward_is_a_difference_of_probabilities():

@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxdyna.experiments import plots, plots_frames, report
+from jaxdyna.experiments.pong_equal import by_tens, equal_episodes
 from jaxdyna.experiments.pong_games import games_said, scores
 from jaxdyna.experiments.pong_options import game_of
 from jaxdyna.experiments.pong_train_options import LEVEL, WINDOW, Options
@@ -88,7 +89,7 @@ class PongReport:
             for name in ("greedy_return", "game_score")
             if name in curves
         }
-        return judged | {"cost": describe_cost(curves)}
+        return judged | {"by_tens": by_tens(curves["real_return"]), "cost": describe_cost(curves)}
 
     def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
         """``returns.png``, ``solved.png``, ``points.png``, ``film.gif``."""
@@ -131,6 +132,7 @@ class PongReport:
             "never dropped: it leaves the mean undefined, and only a lower bound (≥) is known.",
             markdown_table(*report.arm_table(results, {}, WINDOW)),
             *report.comparison(results, {}),
+            *equal_episodes(results),
             "![point difference against real episodes](returns.png)",
             "![share of the runs that have solved](solved.png)",
             "![points won and lost, frames predicted wrong](points.png)",
@@ -226,10 +228,10 @@ def _method(options: Options) -> str:
             f"for {hparams.epsilon_hold:g} episodes, {hparams.epsilon_last:.0%} after "
             f"{hparams.epsilon_episodes:g} more.",
             f"- Models: {options.model_updates} updates after each real episode on batches of "
-            f"{options.model_batch}{often}. `dyna`: categories for the places of each "
-            f"object's edges, dropout {options.dropout:g}, drawn in dreams. `dyna_l2`: Fig. "
-            "4 on patches, squared error, in shades; `dyna_adversarial`: with the adversarial loss "
-            "beside it. Both read the reward off their joint features.",
+            f"{options.model_batch}{often}. `dyna`: categories for the places of each object's "
+            f"edges, dropout {options.dropout:g}, weight decay {options.weight_decay:g}, drawn in "
+            "dreams. `dyna_l2`: Fig. 4 on patches, squared error, in shades; `dyna_adversarial`: "
+            "with the adversarial loss beside it. Both read the reward off their joint features.",
             f"- Dreams: from real episode {options.real_first} on, after each, "
             f"{options.dream_episodes} of {options.dream_steps} steps from any real stack of "
             f"frames, {hparams.epsilon_fake:.0%} of their actions random; then "

@@ -1,0 +1,45 @@
+"""What arms of unequal length had reached after as many real episodes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jaxdyna.experiments.report import Results, interval, markdown_table
+from jaxdyna.statistics import bootstrap_interval
+
+TEN = 10
+BLOCKS = 2
+
+
+def by_tens(returns: np.ndarray) -> list[list[float]]:
+    """Mean return of each run in each ten of its episodes, from ``[seeds, episodes]``."""
+    seeds, episodes = returns.shape
+    whole = returns[:, : episodes // TEN * TEN]
+    return whole.reshape(seeds, -1, TEN).mean(-1).tolist()
+
+
+def equal_episodes(results: Results, baseline: str = "model_free") -> list[str]:
+    """The arms' returns in the last episodes that all of them have played, and less the baseline's
+    run by run: runs of the same number begin with the same key. Empty where there is nothing to
+    compare.
+    """
+    returns = {name: np.array(arm["by_tens"]) for name, arm in results["arms"].items()}
+    ends = min(values.shape[1] for values in returns.values())
+    if baseline not in returns or len(returns) == 1 or ends < BLOCKS:
+        return []
+    rows = []
+    at = {name: values[:, ends - BLOCKS : ends].mean(1) for name, values in returns.items()}
+    for name, values in at.items():
+        less = "-" if name == baseline else _mean(values - at[baseline], "+")
+        rows.append([name, _mean(values, ""), less])
+    first, last = (ends - BLOCKS) * TEN + 1, ends * TEN
+    return [
+        f"After as many real episodes: the mean return of episodes {first} to {last}, the last "
+        "that every arm has played, and 95% interval over runs.",
+        markdown_table(["arm", "return", f"less that of {baseline}, run by run"], rows),
+    ]
+
+
+def _mean(values: np.ndarray, sign: str) -> str:
+    ends = bootstrap_interval(values, lambda rows: rows.mean(-1))
+    return f"{values.mean():{sign}.2f} ({interval(ends, 2)})"
