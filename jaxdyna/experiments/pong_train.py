@@ -106,6 +106,7 @@ def make_arms(options: Options) -> dict[str, Arm]:
     ours, blurred = of("ours"), of("l2")
     config = dyna_config(options)
     hparams = replace(options.hparams, env=env_params(options))
+    theirs = replace(hparams, model=replace(hparams.model, learning_rate=options.paper_rate))
     untrained = replace(hparams, model_trains=False, disagreement_threshold=math.inf)
     alone = ours._replace(model=None, dream=None, diagnose=None)
     busier = replace(agent, updates=agent.updates + agent.fake_updates)
@@ -114,8 +115,8 @@ def make_arms(options: Options) -> dict[str, Arm]:
         "model_free": Arm(alone, config, hparams),
         "more_updates": Arm(alone._replace(agent=more.agent), config, hparams),
         "dyna": Arm(ours, config, hparams),
-        "dyna_l2": Arm(blurred, config, hparams),
-        "dyna_adversarial": Arm(of("adversarial"), config, hparams),
+        "dyna_l2": Arm(blurred, config, theirs),
+        "dyna_adversarial": Arm(of("adversarial"), config, theirs),
         "placebo": Arm(ours, config, untrained),
     }
     if options.game == "ale":
@@ -124,7 +125,7 @@ def make_arms(options: Options) -> dict[str, Arm]:
     arms["oracle"] = Arm(oracle, replace(config, model_updates=0), hparams)
     for name, thing in TRUE_OBJECTS.items():
         mended = blurred._replace(dream=guided(blurred, (OBJECTS[thing],)))
-        arms[name] = Arm(mended, config, hparams)
+        arms[name] = Arm(mended, config, theirs)
     return arms
 
 

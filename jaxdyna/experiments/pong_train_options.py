@@ -87,6 +87,8 @@ class Options:
     """Of AdamW, for our model."""
     reward_weight: float = 5.0
     """Weight of the reward's squared error beside the frame's loss, in the paper's models."""
+    paper_rate: float = 4e-3
+    """Adam's learning rate, in the paper's models; --hparams.model.learning-rate is ours."""
     model_updates: int = 100
     """Gradient steps of the model after each real episode."""
     model_batch: int = 64
@@ -143,6 +145,8 @@ class Options:
             raise ValueError(f"--glimpse is {self.glimpse}: give an odd number of pixels")
         if not 0 <= self.reward_weight < float("inf"):
             raise ValueError("--reward-weight must be a finite number of at least 0")
+        if not 0 < self.paper_rate < float("inf"):
+            raise ValueError(f"--paper-rate is {self.paper_rate}: give a number above 0")
         if self.steps <= DREAM_FROM:
             raise ValueError(f"--steps is {self.steps}: an episode needs more than {DREAM_FROM}")
         frames_of(self)
