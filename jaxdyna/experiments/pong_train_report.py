@@ -232,7 +232,7 @@ def _method(options: Options) -> str:
             f"edges, dropout {options.dropout:g}, weight decay {options.weight_decay:g}, drawn in "
             "dreams. `dyna_l2`: Fig. 4 on patches, squared error, in shades; `dyna_adversarial`: "
             "with the adversarial loss beside it. Both read the reward off their joint features "
-            f"and learn at {options.paper_rate:g}, ours at {options.hparams.model.learning_rate:g}.",
+            f"and learn at {options.paper_rate:g}, ours at {options.hparams.model.learning_rate:g}",
             f"- Dreams: from real episode {options.real_first} on, after each, "
             f"{options.dream_episodes} of {options.dream_steps} steps from any real stack of "
             f"frames, {hparams.epsilon_fake:.0%} of their actions random; then "
