@@ -104,7 +104,7 @@ class Options:
     """Steps of an open-loop dream."""
     dreams: int = 8
     """Dreams in each held-out episode."""
-    paper: Training = field(default_factory=lambda: Training(3000, 32, 1e-3))
+    paper: Training = field(default_factory=lambda: Training(6000, 32, 4e-3))
     """Training of Fig. 4."""
     ours: Training = field(default_factory=lambda: Training(6000, 256, 2e-3, 0.1))
     """Training of ours."""
