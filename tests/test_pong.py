@@ -11,6 +11,8 @@ from jaxdyna import rollout
 from jaxdyna.envs import CHANNELS, Pong, PongParams
 from jaxdyna.envs.pong_rules import FIELD, advance, first_state
 from jaxdyna.envs.pong_screen import masks_by_colour
+from jaxdyna.experiments import pong_likeness
+from jaxdyna.experiments.pong_trace import script
 
 TRACE = dict(np.load(Path(__file__).parent / "data" / "pong_trace.npz"))
 BALL = np.stack([TRACE["ball_row"], TRACE["ball_column"]], axis=-1).astype(np.int32)
@@ -118,6 +120,31 @@ def test_the_own_paddle_answers_the_stick_as_in_the_real_game():
     print(f"own paddle: off by {off.mean():.2f} pixels")
     moved = np.abs(TRACE["own"][windows] - TRACE["own"][starts][:, None])
     assert off.mean() < 2 and off.mean() < 0.1 * moved.mean()
+
+
+def test_a_bounce_is_counted_by_hand():
+    """A serve, one hit by the own paddle's lower half that sends the ball down at 45 degrees, and
+    a point won.
+    """
+    columns = [0, 137, 138, 139, 138, 137, 136, 0]
+    rows = [-48, 60, 60, 60, 61, 62, 63, -48]
+    trace = {"ball_row": rows, "ball_column": columns, "own": [52] * 8, "opponent": [20] * 8}
+    trace |= {"reward": [0] * 6 + [1, 0]}
+    found = pong_likeness.samples({name: np.array(row, np.int16) for name, row in trace.items()})
+    assert found["rally"].tolist() == [5] and found["point"].tolist() == [1]
+    assert found["own_place"].tolist() == [8] and found["own_angle"].tolist() == [45]
+    assert found["across"].tolist() == [1] * 5 and len(found["opponent_place"]) == 0
+
+
+def test_both_games_are_played_alike(tmp_path):
+    """The script that recorded the trace does again, and the two games are compared."""
+    again = script(12_000, 5)
+    followed = again.action >= 0
+    np.testing.assert_array_equal(TRACE["action"][followed], again.action[followed])
+    arguments = ["--frames", "3000", "--games", "2", "--out", str(tmp_path)]
+    assert pong_likeness.main(arguments) == 0
+    report = (tmp_path / "report.md").read_text()
+    assert "| Atari 2600 | pure |" in report and (tmp_path / "likeness.png").exists()
 
 
 def test_a_random_player_loses_as_in_the_real_game():
