@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.experiments.report import Results, markdown_table
-from jaxdyna.experiments.run import Arm, ArmRun
+from jaxdyna.experiments.run import Arm, ArmRun, first_run
 from jaxdyna.models.evaluation import Predict, one_step, one_step_sums, open_loop
 from jaxdyna.rollout import rollout
 from jaxdyna.statistics import r_squared
@@ -32,7 +32,7 @@ def judge(arm: Arm, run: ArmRun, key: jax.Array) -> Curves:
     judged = jax.jit(jax.vmap(lambda state, key: _judge(arm, predict, state, key)))(
         run.state, jax.random.split(jax.random.fold_in(key, 0), seeds)
     )
-    first = jax.tree.map(lambda leaf: leaf[0], run.state)
+    first = first_run(run.state)
     shown = jax.jit(lambda state, key: _example(arm, predict, state, key))(
         first, jax.random.fold_in(key, 1)
     )

@@ -18,7 +18,7 @@ from jaxdyna.experiments import maze_train_tables as tables
 from jaxdyna.experiments import plots, plots_frames, report
 from jaxdyna.experiments.maze_train_options import SHARE_OF_ORACLE, WINDOW, Options
 from jaxdyna.experiments.report import Results, markdown_table
-from jaxdyna.experiments.run import Arm, ArmRun
+from jaxdyna.experiments.run import Arm, ArmRun, first_run
 from jaxdyna.experiments.train_cost import cost_of_parts, describe_cost
 from jaxdyna.planners import solve_maze
 from jaxdyna.rollout import first_states, rollout
@@ -77,7 +77,7 @@ class MazeReport:
         key, key_cost = jax.random.split(key)
         keys = jax.random.split(key, len(jax.tree.leaves(policies)[0]))
         judged = jax.jit(lambda *args: jax.lax.map(lambda pair: judge(*pair), args))(policies, keys)
-        first = jax.tree.map(lambda leaf: leaf[0], run.state)
+        first = first_run(run.state)
         updates = (self.options.agent.updates, self.options.agent.fake_updates)
         return jax.tree.map(np.asarray, judged) | cost_of_parts(arm, updates, first, key_cost)
 

@@ -16,7 +16,7 @@ from jaxdyna.experiments.pong_games import games_said, scores
 from jaxdyna.experiments.pong_options import game_of
 from jaxdyna.experiments.pong_train_options import LEVEL, WINDOW, Options
 from jaxdyna.experiments.report import Results, interval, markdown_table
-from jaxdyna.experiments.run import Arm, ArmRun
+from jaxdyna.experiments.run import Arm, ArmRun, first_run
 from jaxdyna.experiments.train_cost import cost_of_parts, cost_table, describe_cost
 from jaxdyna.rollout import rollout
 from jaxdyna.statistics import bootstrap_interval, episodes_to_solve
@@ -72,7 +72,7 @@ class PongReport:
         key, key_cost, key_film, key_games = jax.random.split(key, 4)
         keys = jax.random.split(key, len(jax.tree.leaves(policies)[0]))
         returns = jax.jit(lambda *args: jax.lax.map(judge, args))(policies, keys)
-        first = jax.tree.map(lambda leaf: leaf[0], run.state)
+        first = first_run(run.state)
         alone = replace(first.agent, real=None, fake=None)
         film = jax.jit(filmed)(alone, key_film)
         updates = (self.options.agent.updates, self.options.agent.fake_updates)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -108,7 +109,7 @@ class Runner:
                 if interrupted:
                     raise KeyboardInterrupt
         self.report("done", _episodes(pieces), total, int(self._solved(pieces).sum()))
-        return ArmRun(join(pieces), jax.tree.map(_only_setting, state), compile_s, run_s)
+        return ArmRun(join(pieces), _only_setting(state), compile_s, run_s)
 
     def _compile(self, arm: Arm, piece: int) -> tuple[DynaState, Callable]:
         """The runs before their first episode, and what plays a piece of them."""
@@ -143,11 +144,16 @@ class Runner:
         return done >= last + self.stop_after_solved
 
 
-def _only_setting(leaf: jax.Array) -> jax.Array:
-    """Without the axis of settings; frees the leaf, so that no two replays are held at a time."""
-    one = leaf[0]
-    leaf.delete()
-    return one
+@partial(jax.jit, donate_argnums=0)
+def _only_setting(state: DynaState) -> DynaState:
+    """Without the axis of settings, in the same memory: no two replays are held at a time."""
+    return jax.tree.map(lambda leaf: leaf.reshape(leaf.shape[1:]), state)
+
+
+@jax.jit
+def first_run(state: Any) -> Any:
+    """The first run's part of what has an axis of runs in front; one program for all its leaves."""
+    return jax.tree.map(lambda leaf: leaf[0], state)
 
 
 def piece_length(total: int, about: int) -> int:
