@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from rich.console import Console
 
-from jaxdyna.experiments import cartpole_model, plots, report
+from jaxdyna.experiments import cartpole_model, plots, ratios, report
 from jaxdyna.experiments.cartpole_options import Options
 from jaxdyna.experiments.report import Results, markdown_table
 from jaxdyna.experiments.run import Arm, ArmRun
@@ -110,7 +110,7 @@ class CartPoleReport:
         )
 
     def _comparison(self, results: Results) -> list[str]:
-        return report.comparison(results, {"dyna": PAPER_RATIO} if self.paper else {})
+        return ratios.comparison(results, {"dyna": PAPER_RATIO} if self.paper else {})
 
     def _models(self, results: Results) -> list[str]:
         parts = []

@@ -15,7 +15,7 @@ from rich.console import Console
 from jaxdyna.agents import CloningState
 from jaxdyna.envs import Maze, MazeParams, MazeState
 from jaxdyna.experiments import maze_train_tables as tables
-from jaxdyna.experiments import plots, plots_frames, report
+from jaxdyna.experiments import plots, plots_frames, ratios, report
 from jaxdyna.experiments.maze_train_options import SHARE_OF_ORACLE, WINDOW, Options
 from jaxdyna.experiments.report import Results, markdown_table
 from jaxdyna.experiments.run import Arm, ArmRun, first_run
@@ -189,11 +189,11 @@ class MazeReport:
         console.print(f"{timing['total_s']:.0f} s in all")
 
     def _comparison(self, results: Results) -> list[str]:
-        lines = report.comparison(results, {"dyna": PAPER_RATIO})
+        lines = ratios.comparison(results, {"dyna": PAPER_RATIO})
         if not {"dyna", "more_updates"} <= set(results["arms"]):
             return lines
         both = {name: results["arms"][name] for name in ("dyna", "more_updates")}
-        return lines + report.comparison({"arms": both}, {}, "more_updates")
+        return lines + ratios.comparison({"arms": both}, {}, "more_updates")
 
 
 def _without_replays(agent: Any) -> Any:

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from rich.console import Console
 
-from jaxdyna.experiments import plots, plots_frames, report
+from jaxdyna.experiments import plots, plots_frames, ratios, report
 from jaxdyna.experiments.pong_equal import by_tens, equal_episodes
 from jaxdyna.experiments.pong_games import games_said, scores
 from jaxdyna.experiments.pong_options import game_of
@@ -131,7 +131,7 @@ class PongReport:
             "The rule is the same for all arms and counts every real episode. An unsolved run is "
             "never dropped: it leaves the mean undefined, and only a lower bound (≥) is known.",
             markdown_table(*report.arm_table(results, {}, WINDOW)),
-            *report.comparison(results, {}),
+            *_comparison(results),
             *equal_episodes(results),
             "![point difference against real episodes](returns.png)",
             "![share of the runs that have solved](solved.png)",
@@ -157,9 +157,15 @@ class PongReport:
         """The table in the terminal, and the ratios under it."""
         title = f"Pong, {self.options.preset} preset, {self.options.seeds} runs an arm"
         report.print_table(console, title, *report.short_table(results, {}, WINDOW))
-        for line in report.comparison(results, {}):
+        for line in _comparison(results):
             console.print(line.replace("**", ""))
         console.print(f"{results['timing']['total_s']:.0f} s in all")
+
+
+def _comparison(results: Results) -> list[str]:
+    """In episodes, the window included, and in steps without it, where an arm solves."""
+    steps = ratios.comparison(results, {}, figure="real_steps_to_solve")
+    return ratios.comparison(results, {}) + [line for line in steps if "unknown" not in line]
 
 
 def _mean_of_runs(values: np.ndarray) -> Results:
@@ -180,7 +186,7 @@ def _cause_said(results: Results) -> list[str]:
         "## Which object's error does it",
         "`true_...` is `dyna_l2` whose dreams show one object as the true game has it, which runs "
         "beside the dream from a state read off the same frames; rewards are the model's.",
-        *report.comparison({"arms": both}, {}, "dyna_l2"),
+        *ratios.comparison({"arms": both}, {}, "dyna_l2"),
     ]
 
 

@@ -21,7 +21,6 @@ from jaxdyna.statistics import (
     SolveRule,
     Summary,
     episodes_to_solve,
-    ratio_of_means,
     steps_before,
     summarise,
 )
@@ -77,39 +76,6 @@ def _first_at(returns: np.ndarray, threshold: float) -> np.ndarray:
     return np.where(reached.any(1), reached.argmax(1) + 1.0, np.inf)
 
 
-def compare(arms: Results, baseline: str) -> Results:
-    """Ratio of each arm's mean ``episodes_to_solve`` to the baseline's, with its interval; an
-    unsolved run of the baseline counts as one episode more than it played.
-    """
-    if baseline not in arms:
-        return {}
-    denominator, at_least = _per_seed(arms[baseline]), arms[baseline]["episodes_played"] + 1
-    return {
-        name: ratio_of_means(_per_seed(arm), denominator, at_least)
-        for name, arm in arms.items()
-        if name != baseline
-    }
-
-
-def comparison(
-    results: Results, paper: Mapping[str, float], baseline: str = "model_free"
-) -> list[str]:
-    """The ratios to a baseline in words, a line an arm, the paper's own beside those it gives."""
-    lines = []
-    for name, ratio in compare(results["arms"], baseline).items():
-        if ratio["ratio"] is None:
-            lines.append(f"A run of {name} did not solve, so its ratio to {baseline} is unknown.")
-            continue
-        said = f"; the paper's is {paper[name]}" if name in paper else ""
-        most = "at most " if ratio["bound"] else ""
-        why = f", because {baseline} has unsolved runs" if ratio["bound"] else ""
-        lines.append(
-            f"{name} needs {most}**{ratio['ratio']:.2f}** of {baseline}'s episodes{why} "
-            f"(95% interval {interval(ratio['ci95'], 2)}{said})."
-        )
-    return lines
-
-
 def whole(value: float) -> str:
     """A return in a table: without decimals; in powers of ten where a model has run away."""
     return f"{value:,.0f}" if abs(value) < 1e6 else f"{value:.0e}"
@@ -128,11 +94,6 @@ def first_dreams(curves: Curves, real_first: int) -> Results:
             name: float(np.nanmedian(curves[name][:, after]))
             for name in ("fake_return", "real_return", "fake_length", "real_length")
         }
-
-
-def _per_seed(arm: Results) -> np.ndarray:
-    values = arm["episodes_to_solve"]["per_seed"]
-    return np.array([np.inf if value is None else value for value in values])
 
 
 def cores() -> int:

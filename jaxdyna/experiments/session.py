@@ -17,9 +17,9 @@ from rich.console import Console
 
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.progress import Bars
+from jaxdyna.experiments.ratios import compare
 from jaxdyna.experiments.report import (
     Results,
-    compare,
     describe_arm,
     environment,
 )
