@@ -131,7 +131,9 @@ def film(path: Path, columns: Mapping[str, np.ndarray], first_step: int = 1) -> 
         ]
         gap = np.full((parts[0].shape[0], 12, 3), 255, np.uint8)
         joined = [piece for part in parts for piece in (part, gap)][:-1]
-        pictures.append(Image.fromarray(np.concatenate(joined, axis=1)).quantize(32))
+        picture = Image.fromarray(np.concatenate(joined, axis=1))
+        # By coverage of the colours: the median cut gives a small thing the colour of a large one.
+        pictures.append(picture.quantize(64, Image.Quantize.MAXCOVERAGE))
     pictures[0].save(
         path, save_all=True, append_images=pictures[1:], duration=PAUSE_MS, loop=0, optimize=True
     )

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from jaxdyna.experiments.ratios import comparison
 from jaxdyna.experiments.report import Results, interval, markdown_table
 from jaxdyna.statistics import bootstrap_interval
 
 TEN = 10
 BLOCKS = 2
+BLURRED = "dyna_l2"
 
 
 def by_tens(returns: np.ndarray) -> list[list[float]]:
@@ -37,6 +39,21 @@ def equal_episodes(results: Results, baseline: str = "model_free") -> list[str]:
         f"After as many real episodes: the mean return of episodes {first} to {last}, the last "
         "that every arm has played, and 95% interval over runs.",
         markdown_table(["arm", "return", f"less that of {baseline}, run by run"], rows),
+    ]
+
+
+def cause_said(results: Results) -> list[str]:
+    """What each object of the blurred dreams costs; empty without arms that mend one."""
+    mended = [name for name in results["arms"] if name.startswith("true_")]
+    if not mended or BLURRED not in results["arms"]:
+        return []
+    both = {name: results["arms"][name] for name in (BLURRED, *mended)}
+    return [
+        "## Which object's error does it",
+        f"`true_...` is `{BLURRED}` whose dreams show one object as the true game has it, which "
+        "runs beside the dream from a state read off the same frames; rewards are the model's.",
+        *comparison({"arms": both}, {}, BLURRED),
+        *equal_episodes({"arms": both}, BLURRED),
     ]
 
 

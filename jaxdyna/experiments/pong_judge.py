@@ -53,7 +53,8 @@ def judge(
         ``[objects, 2]``: sums of the beliefs at its pixels and elsewhere in its channel; ``dream``
         ``[horizon, objects, 3]`` as ``one_step``, and ``dream_unserved`` of those within which no
         ball has been served yet; ``seen``, ``truth`` and ``belief`` of a step with
-        all objects in sight; ``film_truth`` and ``film_dream`` ``[horizon, H, W, 3]``.
+        all objects in sight; ``film_truth`` and ``film_dream`` ``[horizon, H, W, 3]``, of
+        the first episode's dream in which a ball flies longest before one is served.
     """
     episodes, steps = new.action.shape
 
@@ -99,16 +100,18 @@ def _dreams(
         return key, (
             counted.sum(0),
             (counted * unserved[..., None, None]).sum(0),
+            (ball[0, 1:] & unserved[0]).sum(),
             truth[0, 1:],
             dreamed[0],
         )
 
-    _, (counted, unserved, truth, dreamed) = jax.lax.scan(from_start, key, jnp.array(starts))
+    played = jax.lax.scan(from_start, key, jnp.array(starts))[1]
+    counted, unserved, in_flight, truth, dreamed = played
     return {
         "dream": counted.sum(0),
         "dream_unserved": unserved.sum(0),
-        "film_truth": 255 * truth[0].astype(jnp.uint8),
-        "film_dream": dreamed[0],
+        "film_truth": 255 * truth[in_flight.argmax()].astype(jnp.uint8),
+        "film_dream": dreamed[in_flight.argmax()],
     }
 
 

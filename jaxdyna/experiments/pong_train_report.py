@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxdyna.experiments import plots, plots_frames, ratios, report
-from jaxdyna.experiments.pong_equal import by_tens, equal_episodes
+from jaxdyna.experiments.pong_equal import by_tens, cause_said, equal_episodes
 from jaxdyna.experiments.pong_games import games_said, scores
 from jaxdyna.experiments.pong_options import game_of
 from jaxdyna.experiments.pong_train_options import LEVEL, WINDOW, Options
@@ -136,7 +136,7 @@ class PongReport:
             "![point difference against real episodes](returns.png)",
             "![share of the runs that have solved](solved.png)",
             "![points won and lost, frames predicted wrong](points.png)",
-            *_cause_said(results),
+            *cause_said(results),
             "## The final policy",
             f"Greedy, {GREEDY_EPISODES} new episodes a run: mean point difference, 95% interval.",
             markdown_table(*_greedy(results)),
@@ -175,19 +175,6 @@ def _mean_of_runs(values: np.ndarray) -> Results:
         "ci95": bootstrap_interval(values, lambda rows: rows.mean(-1)),
         "per_seed": values.tolist(),
     }
-
-
-def _cause_said(results: Results) -> list[str]:
-    mended = [name for name in results["arms"] if name.startswith("true_")]
-    if not mended or "dyna_l2" not in results["arms"]:
-        return []
-    both = {name: results["arms"][name] for name in ("dyna_l2", *mended)}
-    return [
-        "## Which object's error does it",
-        "`true_...` is `dyna_l2` whose dreams show one object as the true game has it, which runs "
-        "beside the dream from a state read off the same frames; rewards are the model's.",
-        *ratios.comparison({"arms": both}, {}, "dyna_l2"),
-    ]
 
 
 def _greedy(results: Results) -> tuple[list[str], list[list[str]]]:
