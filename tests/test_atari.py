@@ -95,10 +95,11 @@ def test_a_small_frame_shows_the_objects_of_the_screen(env):
 
 def test_who_does_nothing_loses_a_whole_game(env):
     small = AtariPong(frame_skip=8, scale=8)
-    points = pong_games.scores(
+    points, ended = pong_games.scores(
         small, lambda obs, key: jnp.int32(0), jax.random.key(3), small.default_params, games=2
     )
     np.testing.assert_array_equal(points, [-21, -21])
+    assert ended.all()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Pong's experiments: episodes, judging, true games beside dreams, command lines and reports."""
 
 import json
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ import pytest
 
 from jaxdyna import frame_replay
 from jaxdyna.envs import FrameStack
-from jaxdyna.experiments import pong, pong_ale, pong_train_report
+from jaxdyna.experiments import pong, pong_ale, pong_judge, pong_train_report
 from jaxdyna.experiments.pong_data import Player, choose, middle_row, play, take, view_of
 from jaxdyna.experiments.pong_equal import by_tens, equal_episodes
 from jaxdyna.experiments.pong_guided import GuidedDream, GuidedParams, read_state
@@ -126,7 +127,30 @@ def test_recall_and_precision_by_hand():
     counted = np.asarray(counts(jnp.array(lit), jnp.array(truth), (0, 1, 2)))
     np.testing.assert_array_equal(counted, [[1, 1, 2], [0, 0, 0], [1, 9, 1]])
     np.testing.assert_allclose(recall(counted), [0.5, 0, 1])
-    np.testing.assert_allclose(precision(counted), [1, 0, 1 / 9])
+    np.testing.assert_allclose(precision(counted), [1, np.nan, 1 / 9])
+
+
+def test_a_serve_is_a_ball_that_was_not_there_or_far_away():
+    """A ball that flies on, one that vanishes and comes back, one served at once elsewhere."""
+    columns = [[4, 6, 8, 10], [4, None, None, 20], [38, 20, 18, 16]]
+    ball = np.zeros((3, 4, 40, 40), bool)
+    for episode, row in enumerate(columns):
+        for time, column in enumerate(row):
+            if column is not None:
+                ball[episode, time, 7, column : column + 2] = True
+    expected = [[False] * 3, [False, False, True], [True, False, False]]
+    np.testing.assert_array_equal(pong_judge._served(jnp.array(ball)), expected)
+
+
+@pytest.mark.parametrize("part", ["train", "model"])
+def test_without_the_atari_extra_one_line_says_how_to_get_it(part, tmp_path, monkeypatch, capsys):
+    (tmp_path / "report.md").write_text("an earlier run's")
+    monkeypatch.setitem(sys.modules, "ale_py", None)
+    with pytest.raises(SystemExit) as stop:
+        pong.main(["--game", "ale", "--part", part, "--out", str(tmp_path)])
+    said = capsys.readouterr().err
+    assert stop.value.code == 2 and "jaxdyna[atari]" in said and len(said.splitlines()) == 1
+    assert (tmp_path / "report.md").exists()
 
 
 def test_points_are_counted_for_either_side():
@@ -236,6 +260,7 @@ def test_frame_prediction_leaves_tables_and_figures(tmp_path):
     ("arguments", "words"),
     [
         (["--game", "ale", "--arms", "true_ball"], "--game jax"),
+        (["--frame-skip", "8", "--arms", "oracle"], "--frame-skip 4"),
         (["--arms"], "--arms"),
         (["--steps", "9"], "--steps"),
         (["--glimpse", "4"], "odd"),

@@ -39,7 +39,7 @@ class AtariParams:
         no_ops: an episode begins with 1 to so many frames of doing nothing (Mnih et al. 2015).
     """
 
-    max_steps: int | jax.Array = 6_750
+    max_steps: int | jax.Array = 27_000
     no_ops: int | jax.Array = 30
 
 
@@ -53,8 +53,9 @@ class AtariState:
 
 @dataclass(frozen=True)
 class AtariPong:
-    """The real game (Bellemare et al. 2013), without repeated actions; actions, frames and rewards
-    are those of `jaxdyna.envs.Pong`. It needs the ``atari`` extra.
+    """The real game (Bellemare et al. 2013), without repeated actions; actions and rewards are
+    those of `jaxdyna.envs.Pong`, and frames look like its own in the same palette. It needs the
+    ``atari`` extra.
 
     Attributes:
         frame_skip: frames a step, all with the same action.
@@ -74,8 +75,8 @@ class AtariPong:
 
     @property
     def default_params(self) -> AtariParams:
-        """Games to 21 points, cut after the 27,000 frames of the literature."""
-        return AtariParams(max_steps=27_000 // self.frame_skip)
+        """Games to 21 points, cut after the 108,000 frames (half an hour) of the literature."""
+        return AtariParams(max_steps=108_000 // self.frame_skip)
 
     @property
     def num_actions(self) -> int:

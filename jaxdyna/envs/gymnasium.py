@@ -52,7 +52,7 @@ def make_atari(game: str, num_envs: int, **settings: Any) -> VectorEnv:
     Raises:
         ImportError: without the ``atari`` extra.
     """
-    _register_atari()
+    check_atari()
     return gymnasium.make_vec(
         f"ALE/{game}-v5", num_envs=num_envs, vectorization_mode="sync", **settings
     )
@@ -65,13 +65,18 @@ def atari_emulator(game: str) -> Any:
     Raises:
         ImportError: without the ``atari`` extra.
     """
-    _register_atari()
+    check_atari()
     env: Any = gymnasium.make(f"ALE/{game}-v5", repeat_action_probability=0.0)
     env.reset(seed=0)
     return env.unwrapped.ale
 
 
-def _register_atari() -> None:
+def check_atari() -> None:
+    """Makes the real Atari games known to Gymnasium.
+
+    Raises:
+        ImportError: without the ``atari`` extra, with how to install it.
+    """
     try:
         import ale_py  # noqa: PLC0415  (an extra that most people do without)
     except ImportError as error:

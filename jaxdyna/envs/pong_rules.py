@@ -28,7 +28,7 @@ _TOP, _BOTTOM = -3, 158
 _LEFT, _RIGHT = 3, 156
 """The columns at which a point is won and lost."""
 _OWN_ROWS, _TARGETS = (-9, 156), (-34, 160)
-_FASTEST = 3
+FASTEST = 3
 _DIRECTION = np.array([0, 0, -1, 1, -1, 1])
 _FIRES = np.array([False, True, False, False, True, True])
 NUM_ACTIONS = len(_DIRECTION)
@@ -163,7 +163,7 @@ def _bounce(state: PongState, fires: jax.Array) -> jax.Array:
     slope = jnp.clip(jnp.floor_divide(below, 4) - 1, -3, 2)
     slope = jnp.where(own | opponent, slope, down)
     down = jnp.where(row <= _TOP, jnp.abs(down), jnp.where(row >= _BOTTOM, -jnp.abs(down), slope))
-    speed = jnp.minimum(jnp.abs(right) + (own & fires), _FASTEST)
+    speed = jnp.minimum(jnp.abs(right) + (own & fires), FASTEST)
     right = jnp.where(own, -speed, jnp.where(opponent, speed, right))
     return jnp.stack([down, right])
 

@@ -95,12 +95,12 @@ def _dreams(
         truth = jax.vmap(lambda episode: _objects(view, new, episode, times))(jnp.arange(episodes))
         lit = dreamed > 255 * asked.threshold
         counted = counts(lit, truth[:, 1:], (2, 3))
-        ball = truth[..., OBJECTS["ball"]].any((2, 3))
-        unserved = jnp.cumsum(ball[:, 1:] & ~ball[:, :-1], axis=1) == 0
+        ball = truth[..., OBJECTS["ball"]]
+        unserved = jnp.cumsum(_served(ball), axis=1) == 0
         return key, (
             counted.sum(0),
             (counted * unserved[..., None, None]).sum(0),
-            (ball[0, 1:] & unserved[0]).sum(),
+            (ball[0, 1:].any((1, 2)) & unserved[0]).sum(),
             truth[0, 1:],
             dreamed[0],
         )
@@ -113,6 +113,16 @@ def _dreams(
         "film_truth": 255 * truth[in_flight.argmax()].astype(jnp.uint8),
         "film_dream": dreamed[in_flight.argmax()],
     }
+
+
+def _served(ball: jax.Array) -> jax.Array:
+    """Whether a step brings a new ball, bool ``[episodes, T]``, from where it is, bool ``[episodes,
+    T + 1, H, W]``: one that has not been there, or is an eighth of the field away.
+    """
+    there, columns = ball.any((2, 3)), ball.any(2)
+    column = columns.argmax(-1)
+    away = jnp.abs(column[:, 1:] - column[:, :-1]) > columns.shape[-1] // 8
+    return there[:, 1:] & (~there[:, :-1] | away)
 
 
 def _shown(asked: Asked, params: Any, view: View, new: Played) -> Judgement:
@@ -152,5 +162,5 @@ def recall(counted: np.ndarray) -> np.ndarray:
 
 
 def precision(counted: np.ndarray) -> np.ndarray:
-    """Of `counts` ``[..., 3]``: the share of lit pixels that are an object's; 0 of none."""
-    return counted[..., 0] / np.maximum(counted[..., 1], 1)
+    """Of `counts` ``[..., 3]``: the share of lit pixels that are an object's; NaN of none."""
+    return np.where(counted[..., 1] > 0, counted[..., 0] / np.maximum(counted[..., 1], 1), np.nan)

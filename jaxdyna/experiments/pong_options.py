@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from jaxdyna.envs import CHANNELS, Pong, PongParams
+from jaxdyna.envs.gymnasium import check_atari
+from jaxdyna.envs.pong_rules import FASTEST
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.maze_options import decayed_adam
 from jaxdyna.losses import bce, l1, l2
@@ -113,6 +115,7 @@ class Options:
         cli.check_common(self)
         if not self.arms or not self.policies:
             raise ValueError("--arms and --policies: name at least one each")
+        check_game(self.game)
         game_of(self)
         side = Pong(scale=self.scale).frame_shape[1]
         if len(self.widths) != 3 or len(self.kernels) != 3 or min(self.widths) < 1:
@@ -151,6 +154,19 @@ def game_of(options: Any) -> Pong:
     if options.scale < 2:
         raise ValueError("--scale is less than 2: give a divisor of 160 from 2 on")
     return Pong(options.frame_skip, options.scale, CHANNELS)
+
+
+def check_game(game: GameName) -> None:
+    """Whether it can be played here.
+
+    Raises:
+        ValueError: with how to install what is missing.
+    """
+    try:
+        if game == "ale":
+            check_atari()
+    except ImportError as error:
+        raise ValueError(f"--game ale: {error}") from None
 
 
 def params_of(options: Any) -> PongParams:
@@ -194,7 +210,8 @@ def config_of(options: Options, arm: str) -> PixelConfig | RectangleConfig:
     """
     optimizer = decayed_adam(training_of(options, arm).weight_decay)
     if arm == "ours":
-        reach = (80 // options.scale, 12 // options.scale + 1)
+        fastest = FASTEST * options.frame_skip
+        reach = (80 // options.scale, fastest // options.scale + 1)
         hidden, dropout = tuple(options.hidden), options.dropout
         return RectangleConfig(reach, hidden=hidden, dropout=dropout, optimizer=optimizer)
     coder = EncoderDecoder(

@@ -104,12 +104,13 @@ def _data_said(options: Options) -> str:
     return (
         f"{options.seeds} runs. {game} Frames of {height}x{width}, {options.frame_skip} of the "
         f"game's a step. A model, four frames and the action in, the next frame out, is trained on "
-        f"{options.episodes} episodes of {options.steps} steps of the random policy, or of as many "
-        "of the mixed one: players that follow the ball with a share of their actions that is "
-        "drawn for each episode, and act at random with the others. All are judged on "
+        f"{options.episodes} episodes of {options.steps} steps of the "
+        f"{' policy, or of as many of the '.join(options.stages_of(''))} policy. The mixed one is "
+        "of players that follow the ball with a share of their actions that is drawn for each "
+        "episode, and act at random with the others. All are judged on "
         f"{options.held_out} new episodes of the mixed policy: the share of an object's pixels "
         "that are predicted to be lit (recall), and of the pixels lit in its channel that are its "
-        "(precision). Mean over runs and 95% interval."
+        "(precision; - where none is lit). Mean over runs and 95% interval."
     )
 
 

@@ -50,15 +50,16 @@ def describe(curves: Curves, options: Any) -> Results:
 
 
 def _summaries(values: np.ndarray) -> Results:
-    """Mean, interval and every seed, by object, of ``[seeds, objects]``."""
-    return {
-        name: {
-            "mean": float(column.mean()),
-            "ci95": bootstrap_interval(column, lambda rows: rows.mean(-1)),
-            "per_seed": column.tolist(),
+    """Mean, interval and every seed, by object, of ``[seeds, objects]``; None of nothing."""
+    said: Results = {}
+    for name, column in zip(OBJECTS, values.T, strict=True):
+        known = column[np.isfinite(column)]
+        said[name] = {
+            "mean": float(known.mean()) if len(known) else None,
+            "ci95": bootstrap_interval(known, lambda rows: rows.mean(-1)),
+            "per_seed": [float(value) if np.isfinite(value) else None for value in column],
         }
-        for name, column in zip(OBJECTS, values.T, strict=True)
-    }
+    return said
 
 
 def one_step(results: Results) -> Table:
@@ -91,8 +92,7 @@ def dreams(results: Results, part: str = "dream") -> Table:
             continue
         for step, by_object in judged[part]["recall"].items():
             sharp = judged[part]["precision"][step]
-            cells = [f"{by_object[name]['mean']:.3f}" for name in OBJECTS]
-            cells += [f"{sharp[name]['mean']:.3f}" for name in OBJECTS]
+            cells = [_mean(score[name]) for score in (by_object, sharp) for name in OBJECTS]
             rows.append([arm, policy, step, *cells])
     return ["model", "trained on", "step", *_headers("recall", "precision")], rows
 
@@ -133,9 +133,13 @@ def _headers(*parts: str) -> list[str]:
     return [f"{part}, {name}" for part in parts for name in OBJECTS]
 
 
+def _mean(summary: Results) -> str:
+    return "-" if summary["mean"] is None else f"{summary['mean']:.3f}"
+
+
 def _cells(judged: Results, *parts: str) -> list[str]:
     return [
-        f"{judged[part][name]['mean']:.3f} ({interval(judged[part][name]['ci95'], 3)})"
+        f"{_mean(judged[part][name])} ({interval(judged[part][name]['ci95'], 3)})"
         for part in parts
         for name in OBJECTS
     ]

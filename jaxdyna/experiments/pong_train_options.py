@@ -11,7 +11,7 @@ from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs import AtariParams, AtariPong, Pong, PongParams
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.maze_train_options import SHARES
-from jaxdyna.experiments.pong_options import DREAM_FROM, config_of, game_of, params_of
+from jaxdyna.experiments.pong_options import DREAM_FROM, check_game, config_of, game_of, params_of
 from jaxdyna.experiments.pong_options import PAPER as PREDICTION
 from jaxdyna.experiments.pong_options import Options as Frames
 from jaxdyna.models import AdversarialHParams, PixelConfig, RectangleConfig
@@ -23,6 +23,7 @@ ArmName = Literal[
     "true_ball", "true_own", "true_opponent",
 ]  # fmt: skip
 NEED_STATE = ("oracle", "true_ball", "true_own", "true_opponent")
+GUIDED_SKIP = 4
 WINDOW = 20
 LEVEL = 0.0
 
@@ -124,11 +125,17 @@ class Options:
         cli.check_common(self)
         if not self.arms:
             raise ValueError("--arms is empty: name at least one arm")
+        check_game(self.game)
         hidden = [arm for arm in self.arms if arm in NEED_STATE]
         if self.game == "ale" and hidden:
             raise ValueError(
                 f"--arms {' '.join(hidden)} read the pure game's state off its frames: leave out, "
                 "or choose --game jax"
+            )
+        if hidden and self.frame_skip != GUIDED_SKIP:
+            raise ValueError(
+                f"--arms {' '.join(hidden)} read the pure game's state off frames {GUIDED_SKIP} of "
+                f"its own apart: leave out, or choose --frame-skip {GUIDED_SKIP}"
             )
         if self.hparams.env != PongParams():
             raise ValueError(

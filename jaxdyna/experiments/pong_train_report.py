@@ -79,17 +79,23 @@ class PongReport:
         kept = {"greedy_return": np.asarray(returns), "film_greedy": np.asarray(film)}
         if self.options.game == "ale":
             game_keys = jax.random.split(key_games, len(keys))
-            kept["game_score"] = np.asarray(jax.jit(whole_games)(policies, game_keys))
+            played = jax.jit(whole_games)(policies, game_keys)
+            kept |= dict(zip(("game_score", "game_ended"), map(np.asarray, played), strict=True))
         return kept | cost_of_parts(arm, updates, first, key_cost)
 
     def describe(self, curves: Curves) -> Results:
         """The final greedy policy in numbers, and what a real episode costs."""
         judged = {
             name: _mean_of_runs(curves[name].mean(1))
-            for name in ("greedy_return", "game_score")
+            for name in ("greedy_return", "game_score", "game_ended")
             if name in curves
         }
-        return judged | {"by_tens": by_tens(curves["real_return"]), "cost": describe_cost(curves)}
+        steps = float(curves["real_length"].sum(1).mean())
+        return judged | {
+            "real_steps": steps,
+            "by_tens": by_tens(curves["real_return"]),
+            "cost": describe_cost(curves),
+        }
 
     def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
         """``returns.png``, ``solved.png``, ``points.png``, ``film.gif``."""
@@ -140,14 +146,14 @@ class PongReport:
             "## The final policy",
             f"Greedy, {GREEDY_EPISODES} new episodes a run: mean point difference, 95% interval.",
             markdown_table(*_greedy(results)),
-            *games_said(results, options),
+            *games_said(results),
             "Red is the opponent, green the own paddle, blue the ball.",
             "![the first run's final policies](film.gif)",
             "## How",
             _method(options),
             "## Time",
             markdown_table(*_time(results)),
-            "What a real episode takes once there are dreams, one run alone on the machine; the "
+            "What a real episode of one run takes once there are dreams; the "
             "floor is the floating-point operations over the rate of a large matrix product.",
             markdown_table(*cost_table(results)),
         ]  # fmt: skip
@@ -198,7 +204,7 @@ def _time(results: Results) -> tuple[list[str], list[list[str]]]:
 
 
 def _method(options: Options) -> str:
-    agent, hparams = options.agent, options.hparams.agent
+    agent, hparams, model = options.agent, options.hparams.agent, options.hparams.model
     side = game_of(options).frame_shape[0]
     rare = options.rare_share
     often = "" if rare is None else f", at least {rare:.0%} of them points won and lost"
@@ -225,12 +231,14 @@ def _method(options: Options) -> str:
             f"edges, dropout {options.dropout:g}, weight decay {options.weight_decay:g}, drawn in "
             "dreams. `dyna_l2`: Fig. 4 on patches, squared error, in shades; `dyna_adversarial`: "
             "with the adversarial loss beside it. Both read the reward off their joint features "
-            f"and learn at {options.paper_rate:g}, ours at {options.hparams.model.learning_rate:g}",
+            f"and learn at {options.paper_rate:g}, ours at {model.learning_rate:g}; lambda is "
+            f"{model.adversarial_weight:g}, the discriminator learns at "
+            f"{model.discriminator_learning_rate:g}.",
             f"- Dreams: from real episode {options.real_first} on, after each, "
             f"{options.dream_episodes} of {options.dream_steps} steps from any real stack of "
             f"frames, {hparams.epsilon_fake:.0%} of their actions random; then "
-            f"{agent.fake_updates} updates on batches of which {hparams.fake_share:.0%} is "
-            "dreamed.",
+            f"{agent.fake_updates} updates. From then on {hparams.fake_share:.0%} of every batch "
+            "of the agent's is dreamed.",
             "- Controls: `placebo` dreams in our model, never trained; `oracle` in the true game, "
             "from a state read off the same frames (what they cannot tell is drawn).",
         ]

@@ -10,6 +10,8 @@ import jax.numpy as jnp
 
 from jaxdyna.types import Key, Prediction, Transition
 
+HALF = 127
+"""Up to this shade of 255 a pixel counts as dark."""
 Predict = Callable[[Any, jax.Array, jax.Array, Key], Prediction]
 
 
@@ -96,14 +98,16 @@ def frame_errors(predict: Predict) -> Callable[[Any, Transition, Key], dict[str,
 
     Returns:
         ``diagnose(params, transitions [N, T], key)`` giving the shares of valid transitions whose
-        next frame is predicted wrong anywhere, ``wrong_frames``, and whose reward is by half or
-        more, ``wrong_rewards``.
+        next frame is predicted wrong anywhere, ``wrong_frames``, a pixel of uint8 frames where it
+        is lit (above 127) and should not be or the other way round, and whose reward is by half
+        or more, ``wrong_rewards``.
     """
 
     def diagnose(params: Any, transitions: Transition, key: Key) -> dict[str, jax.Array]:
         prediction = one_step(predict, params, transitions, key)
         valid = transitions.mask.astype(jnp.float32)
-        frame = (prediction.next_obs != transitions.next_obs).any((-1, -2, -3))
+        lit, truth = prediction.next_obs > HALF, transitions.next_obs > HALF
+        frame = (lit != truth).any((-1, -2, -3))
         reward = jnp.abs(prediction.reward - transitions.reward) >= 0.5
         shares = {"wrong_frames": frame, "wrong_rewards": reward}
         return {name: (wrong * valid).sum() / valid.sum() for name, wrong in shares.items()}
