@@ -171,11 +171,14 @@ def test_the_real_game_is_collected():
     pytest.importorskip("ale_py")
     options = Options(game="ale", steps=20, horizon=10, frame_skip=4)
     real = pong_ale.collect(options, 2, True, jax.random.key(0))
-    assert real.world.shape == (2, 21, 40, 40, 3) and real.action.shape == (2, 20)
-    sizes = real.world[:, -1].any((1, 2))
+    assert real.world.shape == (2, 21, 40, 40) and real.action.shape == (2, 20)
+    frames = np.asarray(pong_ale.VIEW.frame(jnp.array(real.world)))
+    assert set(np.unique(frames)) == {0, 255}
+    np.testing.assert_array_equal(pong_ale.packed(jnp.array(frames)), real.world)
+    sizes = frames[:, -1].any((1, 2))
     assert sizes[:, OBJECTS["own paddle"]].all() and sizes[:, OBJECTS["opponent"]].all()
     seen = take(pong_ale.VIEW, jax.tree.map(jnp.array, real), jnp.array([1]), jnp.array([19]))
-    np.testing.assert_array_equal(seen.next_obs[0, ..., -3:], real.world[1, 20])
+    np.testing.assert_array_equal(seen.next_obs[0, ..., -3:], frames[1, 20])
 
 
 def test_arms_are_compared_where_all_have_played():

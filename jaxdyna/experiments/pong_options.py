@@ -208,8 +208,8 @@ def config_of(options: Options, arm: str) -> PixelConfig | RectangleConfig:
     """The model of this arm. Under L1, L2 and with the adversary frames are in shades, and count as
     lit from one half on; the cross-entropy has the paper's threshold of 0.2.
     """
-    optimizer = decayed_adam(training_of(options, arm).weight_decay)
     if arm == "ours":
+        optimizer = decayed_adam(options.ours.weight_decay)
         fastest = FASTEST * options.frame_skip
         reach = (80 // options.scale, fastest // options.scale + 1)
         hidden, dropout = tuple(options.hidden), options.dropout
@@ -217,11 +217,12 @@ def config_of(options: Options, arm: str) -> PixelConfig | RectangleConfig:
     coder = EncoderDecoder(
         3 * options.patch**2, tuple(options.widths), tuple(options.kernels), options.dense
     )
-    network = Patched(coder, options.patch)
+    network, optimizer = (
+        Patched(coder, options.patch),
+        decayed_adam(options.paper.weight_decay, 0.5),
+    )
     if arm == "bce":
         return PixelConfig(network, bce, 0.2, None, optimizer=optimizer)
-    if arm == "adversarial":
-        optimizer = decayed_adam(options.paper.weight_decay, b1=0.5)
     loss = l1 if arm == "l1" else l2
     return PixelConfig(network, loss, 0.5, None, optimizer=optimizer, shades=True)
 

@@ -116,8 +116,9 @@ def _data_said(options: Options) -> str:
 
 def _setting(options: Options, arm: str) -> str:
     config, training = config_of(options, arm), training_of(options, arm)
+    rates = "0.9, 0.999" if arm == "ours" else "0.5, 0.999"
     trained = (
-        f"{training.updates:,} updates on batches of {training.batch}, AdamW from "
+        f"{training.updates:,} updates on batches of {training.batch}, AdamW ({rates}) from "
         f"{training.learning_rate:g} down along a cosine, weight decay {training.weight_decay:g}"
     )
     if isinstance(config, RectangleConfig):
