@@ -94,7 +94,7 @@ class Options:
     """Patches a side of their kernels."""
     dense: int = 512
     """Width of its dense layer."""
-    adversarial_weight: float = 1.0
+    adversarial_weight: float = 0.1
     """The paper's lambda, beside half the squared error summed over a frame."""
     hidden: tuple[int, ...] = (256, 256)
     """Widths of the perceptrons of ours."""

@@ -115,7 +115,7 @@ class Options:
                 epsilon_last=0.02,
                 epsilon_fake=0.1,
             ),
-            model=AdversarialHParams(2e-3, 1.0, 2e-3),
+            model=AdversarialHParams(2e-3, 0.1, 4e-3),
             env=PongParams(),
         )
     )
