@@ -138,6 +138,7 @@ def test_a_bounce_is_counted_by_hand():
 
 def test_both_games_are_played_alike(tmp_path):
     """The script that recorded the trace does again, and the two games are compared."""
+    pytest.importorskip("ale_py")
     again = script(12_000, 5)
     followed = again.action >= 0
     np.testing.assert_array_equal(TRACE["action"][followed], again.action[followed])

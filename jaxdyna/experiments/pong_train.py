@@ -36,6 +36,7 @@ from jaxdyna.experiments.pong_train_report import PongReport
 from jaxdyna.experiments.run import Arm
 from jaxdyna.experiments.session import Session
 from jaxdyna.models import (
+    AdversarialHParams,
     AdversaryConfig,
     PixelConfig,
     RectangleConfig,
@@ -106,7 +107,8 @@ def make_arms(options: Options) -> dict[str, Arm]:
     ours, blurred = of("ours"), of("l2")
     config = dyna_config(options)
     hparams = replace(options.hparams, env=env_params(options))
-    theirs = replace(hparams, model=replace(hparams.model, learning_rate=options.paper_rate))
+    rate, weight = options.paper_rate, options.adversarial_weight
+    theirs = replace(hparams, model=AdversarialHParams(rate, weight, rate))
     untrained = replace(hparams, model_trains=False, disagreement_threshold=math.inf)
     alone = ours._replace(model=None, dream=None, diagnose=None)
     busier = replace(agent, updates=agent.updates + agent.fake_updates)

@@ -89,7 +89,9 @@ class Options:
     reward_weight: float = 5.0
     """Weight of the reward's squared error beside the frame's loss, in the paper's models."""
     paper_rate: float = 4e-3
-    """Adam's learning rate, in the paper's models; --hparams.model.learning-rate is ours."""
+    """Adam's learning rate, in the paper's models and the discriminator."""
+    adversarial_weight: float = 0.1
+    """The paper's lambda, beside half the squared error summed over a frame."""
     model_updates: int = 100
     """Gradient steps of the model after each real episode."""
     model_batch: int = 64
@@ -115,7 +117,7 @@ class Options:
                 epsilon_last=0.02,
                 epsilon_fake=0.1,
             ),
-            model=AdversarialHParams(2e-3, 0.1, 4e-3),
+            model=AdversarialHParams(2e-3),
             env=PongParams(),
         )
     )
@@ -154,6 +156,8 @@ class Options:
             raise ValueError("--reward-weight must be a finite number of at least 0")
         if not 0 < self.paper_rate < float("inf"):
             raise ValueError(f"--paper-rate is {self.paper_rate}: give a number above 0")
+        if not 0 <= self.adversarial_weight < float("inf"):
+            raise ValueError("--adversarial-weight must be a finite number of at least 0")
         if self.steps <= DREAM_FROM:
             raise ValueError(f"--steps is {self.steps}: an episode needs more than {DREAM_FROM}")
         frames_of(self)

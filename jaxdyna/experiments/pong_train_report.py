@@ -169,9 +169,16 @@ class PongReport:
 
 
 def _comparison(results: Results) -> list[str]:
-    """In episodes, the window included, and in steps without it, where an arm solves."""
-    steps = ratios.comparison(results, {}, figure="real_steps_to_solve")
-    return ratios.comparison(results, {}) + [line for line in steps if "unknown" not in line]
+    """In episodes, the window included, and in steps without it, where an arm solves; of our dreams
+    also to as many updates without them.
+    """
+    arms = results["arms"]
+    both = {name: arms[name] for name in ("more_updates", "dyna") if name in arms}
+    lines = ratios.comparison(results, {}) + ratios.comparison({"arms": both}, {}, "more_updates")
+    for pair, baseline in ((arms, "model_free"), (both, "more_updates")):
+        steps = ratios.comparison({"arms": pair}, {}, baseline, "real_steps_to_solve")
+        lines += [line for line in steps if "unknown" not in line]
+    return lines
 
 
 def _mean_of_runs(values: np.ndarray) -> Results:
@@ -204,7 +211,7 @@ def _time(results: Results) -> tuple[list[str], list[list[str]]]:
 
 
 def _method(options: Options) -> str:
-    agent, hparams, model = options.agent, options.hparams.agent, options.hparams.model
+    agent, hparams, ours = options.agent, options.hparams.agent, options.hparams.model.learning_rate
     side = game_of(options).frame_shape[0]
     rare = options.rare_share
     often = "" if rare is None else f", at least {rare:.0%} of them points won and lost"
@@ -231,9 +238,8 @@ def _method(options: Options) -> str:
             f"edges, dropout {options.dropout:g}, weight decay {options.weight_decay:g}, drawn in "
             "dreams. `dyna_l2`: Fig. 4 on patches, squared error, in shades; `dyna_adversarial`: "
             "with the adversarial loss beside it. Both read the reward off their joint features "
-            f"and learn at {options.paper_rate:g}, ours at {model.learning_rate:g}; lambda is "
-            f"{model.adversarial_weight:g}, the discriminator learns at "
-            f"{model.discriminator_learning_rate:g}.",
+            f"and learn at {options.paper_rate:g}, the discriminator too; ours at {ours:g}. Lambda "
+            f"is {options.adversarial_weight:g}.",
             f"- Dreams: from real episode {options.real_first} on, after each, "
             f"{options.dream_episodes} of {options.dream_steps} steps from any real stack of "
             f"frames, {hparams.epsilon_fake:.0%} of their actions random; then "
