@@ -177,7 +177,7 @@ def _comparison(results: Results) -> list[str]:
     lines = ratios.comparison(results, {}) + ratios.comparison({"arms": both}, {}, "more_updates")
     for pair, baseline in ((arms, "model_free"), (both, "more_updates")):
         steps = ratios.comparison({"arms": pair}, {}, baseline, "real_steps_to_solve")
-        lines += [line for line in steps if "unknown" not in line]
+        lines += [line for line in steps if "are unknown" not in line]
     return lines
 
 

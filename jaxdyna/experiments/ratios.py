@@ -40,10 +40,10 @@ def comparison(
     figure: str = "episodes_to_solve",
 ) -> list[str]:
     """The ratios to a baseline in words, a line an arm, the paper's own beside those it gives."""
-    lines = []
+    lines, unknown = [], []
     for name, ratio in compare(results["arms"], baseline, figure).items():
         if ratio["ratio"] is None:
-            lines.append(f"A run of {name} did not solve, so its ratio to {baseline} is unknown.")
+            unknown.append(name)
             continue
         said = f"; the paper's is {paper[name]}" if name in paper else ""
         most = "at most " if ratio["bound"] else ""
@@ -52,6 +52,9 @@ def comparison(
             f"{name} needs {most}**{ratio['ratio']:.2f}** of {baseline}'s {UNITS[figure]}{why} "
             f"(95% interval {interval(ratio['ci95'], 2)}{said})."
         )
+    if unknown:
+        arms = ", ".join(unknown)
+        lines.append(f"Not all runs of {arms} solved: ratios to {baseline} are unknown.")
     return lines
 
 
