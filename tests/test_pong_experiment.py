@@ -10,7 +10,7 @@ import pytest
 
 from jaxdyna import frame_replay
 from jaxdyna.envs import FrameStack
-from jaxdyna.experiments import pong, pong_ale, pong_judge, pong_train_report
+from jaxdyna.experiments import pong, pong_ale, pong_judge, pong_train_report, ratios
 from jaxdyna.experiments.pong_data import Player, choose, middle_row, play, take, view_of
 from jaxdyna.experiments.pong_equal import by_tens, equal_episodes
 from jaxdyna.experiments.pong_guided import GuidedDream, GuidedParams, read_state
@@ -19,6 +19,7 @@ from jaxdyna.experiments.pong_options import Options, game_of, params_of
 from jaxdyna.experiments.pong_train import make_arms, points
 from jaxdyna.experiments.pong_train_options import PAPER as TRAIN
 from jaxdyna.networks import SignedReward
+from jaxdyna.statistics import summarise
 from jaxdyna.types import Prediction, Transition
 
 OPTIONS = Options(steps=60, horizon=10)
@@ -192,6 +193,29 @@ def test_arms_are_compared_where_all_have_played():
     assert "episodes 1 to 20" in said
     assert "| dyna | 1.50 (0.50 to 2.50) | +1.25 (1.00 to 1.50) |" in table
     assert not equal_episodes({"arms": {"dyna": arms["dyna"]}})
+
+
+def test_ratios_by_hand():
+    """An unsolved run of the baseline counts as the least that it can have needed; arms that did
+    not solve share a sentence.
+    """
+
+    def arm(episodes, steps):
+        solved, walked = np.array(episodes, float), np.array(steps, float)
+        return {"episodes_to_solve": summarise(solved, at_least=41),
+                "real_steps_to_solve": summarise(walked, at_least=600)}  # fmt: skip
+
+    arms = {
+        "model_free": arm([39, np.inf], [200, np.inf]), "dyna": arm([20, 20], [100, 300]),
+        "more_updates": arm([40, 40], [400, 400]),
+        "placebo": arm([np.inf] * 2, [np.inf] * 2), "oracle": arm([30, np.inf], [9, np.inf]),
+    }  # fmt: skip
+    said = ratios.comparisons({"arms": arms}, {})
+    assert said[0].startswith("dyna needs at most **0.50** of model_free's episodes")
+    assert said[2] == "Not all runs of placebo, oracle solved: ratios to model_free are unknown."
+    assert said[3].startswith("dyna needs **0.50** of more_updates's episodes")
+    steps = ratios.comparisons({"arms": arms}, {}, "real_steps_to_solve")
+    assert "**0.50** of model_free's real steps" in steps[0] and len(steps) == 4
 
 
 def test_a_signed_reward_is_a_difference_of_probabilities():

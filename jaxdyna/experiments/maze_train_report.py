@@ -189,11 +189,7 @@ class MazeReport:
         console.print(f"{timing['total_s']:.0f} s in all")
 
     def _comparison(self, results: Results) -> list[str]:
-        lines = ratios.comparison(results, {"dyna": PAPER_RATIO})
-        if not {"dyna", "more_updates"} <= set(results["arms"]):
-            return lines
-        both = {name: results["arms"][name] for name in ("dyna", "more_updates")}
-        return lines + ratios.comparison({"arms": both}, {}, "more_updates")
+        return ratios.comparisons(results, {"dyna": PAPER_RATIO})
 
 
 def _without_replays(agent: Any) -> Any:

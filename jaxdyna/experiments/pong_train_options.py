@@ -14,7 +14,7 @@ from jaxdyna.experiments.maze_train_options import SHARES
 from jaxdyna.experiments.pong_options import DREAM_FROM, check_game, config_of, game_of, params_of
 from jaxdyna.experiments.pong_options import PAPER as PREDICTION
 from jaxdyna.experiments.pong_options import Options as Frames
-from jaxdyna.models import AdversarialHParams, PixelConfig, RectangleConfig
+from jaxdyna.models import PixelConfig, PixelHParams, RectangleConfig
 from jaxdyna.networks import GlimpseQ, PlaceQ, SignedReward
 from jaxdyna.statistics import SolveRule
 
@@ -117,7 +117,7 @@ class Options:
                 epsilon_last=0.02,
                 epsilon_fake=0.1,
             ),
-            model=AdversarialHParams(2e-3),
+            model=PixelHParams(2e-3),
             env=PongParams(),
         )
     )

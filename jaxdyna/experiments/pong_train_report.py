@@ -169,16 +169,15 @@ class PongReport:
 
 
 def _comparison(results: Results) -> list[str]:
-    """In episodes, the window included, and in steps without it, where an arm solves; of our dreams
-    also to as many updates without them.
-    """
+    """In episodes, the window included, and in the real steps before it, of the arms that solve."""
     arms = results["arms"]
-    both = {name: arms[name] for name in ("more_updates", "dyna") if name in arms}
-    lines = ratios.comparison(results, {}) + ratios.comparison({"arms": both}, {}, "more_updates")
-    for pair, baseline in ((arms, "model_free"), (both, "more_updates")):
-        steps = ratios.comparison({"arms": pair}, {}, baseline, "real_steps_to_solve")
-        lines += [line for line in steps if "are unknown" not in line]
-    return lines
+    solving = {
+        name: arm
+        for name, arm in arms.items()
+        if name == "model_free" or arm["real_steps_to_solve"]["mean"] is not None
+    }
+    steps = ratios.comparisons({"arms": solving}, {}, "real_steps_to_solve")
+    return ratios.comparisons(results, {}) + steps
 
 
 def _mean_of_runs(values: np.ndarray) -> Results:
@@ -211,7 +210,7 @@ def _time(results: Results) -> tuple[list[str], list[list[str]]]:
 
 
 def _method(options: Options) -> str:
-    agent, hparams, ours = options.agent, options.hparams.agent, options.hparams.model.learning_rate
+    agent, hparams, rate = options.agent, options.hparams.agent, options.hparams.model.learning_rate
     side = game_of(options).frame_shape[0]
     rare = options.rare_share
     often = "" if rare is None else f", at least {rare:.0%} of them points won and lost"
@@ -238,7 +237,7 @@ def _method(options: Options) -> str:
             f"edges, dropout {options.dropout:g}, weight decay {options.weight_decay:g}, drawn in "
             "dreams. `dyna_l2`: Fig. 4 on patches, squared error, in shades; `dyna_adversarial`: "
             "with the adversarial loss beside it. Both read the reward off their joint features "
-            f"and learn at {options.paper_rate:g}, the discriminator too; ours at {ours:g}. Lambda "
+            f"and learn at {options.paper_rate:g}, the discriminator too; ours at {rate:g}. Lambda "
             f"is {options.adversarial_weight:g}.",
             f"- Dreams: from real episode {options.real_first} on, after each, "
             f"{options.dream_episodes} of {options.dream_steps} steps from any real stack of "

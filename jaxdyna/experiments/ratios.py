@@ -58,5 +58,15 @@ def comparison(
     return lines
 
 
+def comparisons(
+    results: Results, paper: Mapping[str, float], figure: str = "episodes_to_solve"
+) -> list[str]:
+    """The ratios to ``model_free``, and of our dreams to as many updates without them."""
+    arms = results["arms"]
+    both = {name: arms[name] for name in ("dyna", "more_updates") if name in arms}
+    lines = comparison(results, paper, figure=figure)
+    return lines + comparison({"arms": both}, {}, "more_updates", figure)
+
+
 def _per_seed(summary: Results) -> np.ndarray:
     return np.array([np.inf if value is None else value for value in summary["per_seed"]])
