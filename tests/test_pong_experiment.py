@@ -10,6 +10,7 @@ import pytest
 
 from jaxdyna import frame_replay
 from jaxdyna.envs import FrameStack
+from jaxdyna.envs.pong_rules import advance
 from jaxdyna.experiments import pong, pong_ale, pong_judge, pong_train_report, ratios
 from jaxdyna.experiments.pong_data import Player, choose, middle_row, play, take, view_of
 from jaxdyna.experiments.pong_equal import by_tens, equal_episodes
@@ -85,6 +86,27 @@ def test_a_state_read_off_frames_shows_the_newest_of_them(played):
     shown, same, in_play = jax.vmap(over_time, (0, None, 0))(jnp.arange(4), times, keys)
     assert shown.all()
     assert same[in_play].mean() > 0.9
+
+
+def test_a_point_that_may_have_been_counted_is_counted_once():
+    """A ball that is out is shown for a frame before its point counts and for one after."""
+    key, quick = jax.random.key(0), PARAMS.replace(serve_delay=5)
+    _, state = GAME.reset(key, quick)
+    state = state.replace(
+        ball=jnp.array([40, 150]), ball_velocity=jnp.array([0, 2]), own=jnp.int32(100), wait=0
+    )
+    one_frame = jax.jit(lambda state: advance(jax.random.key(2), state, jnp.int32(0), quick))
+    stacks, scores = [], []
+    for _ in range(8):
+        stacks.append(jnp.tile(GAME.frame(state), 4))
+        scores.append(int(state.score[0]))
+        state = one_frame(state)
+    counted = scores.index(1)
+    keys = jax.random.split(jax.random.key(1), 200)
+    read = jax.jit(jax.vmap(lambda key: read_state(GAME, stacks[counted], quick, key)))(keys)
+    out = (read.ball[:, 1] >= 156) & (read.wait == quick.serve_delay)
+    in_play = read.wait == 0
+    assert (out | in_play).all() and 20 < out.sum() < 120
 
 
 def test_only_the_chosen_object_is_the_truth(played):

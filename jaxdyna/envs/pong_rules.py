@@ -25,7 +25,7 @@ _ABSENT = -48
 _SERVE = (80, 79)
 _TOP, _BOTTOM = -3, 158
 """The rows at which the ball turns around."""
-_LEFT, _RIGHT = 3, 156
+LEFT, RIGHT = 3, 156
 """The columns at which a point is won and lost."""
 _OWN_ROWS, _TARGETS = (-9, 156), (-34, 160)
 FASTEST = 3
@@ -114,7 +114,7 @@ def advance(key: Key, state: PongState, action: jax.Array, params: PongParams) -
     upwards = jax.random.bernoulli(key_serve)
 
     in_play = state.wait == 0
-    lost, won = in_play & (state.ball[1] >= _RIGHT), in_play & (state.ball[1] <= _LEFT)
+    lost, won = in_play & (state.ball[1] >= RIGHT), in_play & (state.ball[1] <= LEFT)
     out = lost | won
     delay = jnp.maximum(params.serve_delay, 1)
     wait = jnp.where(out, delay, jnp.maximum(state.wait - 1, 0)).astype(jnp.int32)

@@ -13,7 +13,7 @@ from flax import struct
 
 from jaxdyna import frame_replay
 from jaxdyna.envs import FrameStack, Pong, PongParams, PongState
-from jaxdyna.envs.pong_rules import BALL, FIELD, PADDLE, first_state
+from jaxdyna.envs.pong_rules import BALL, FIELD, LEFT, PADDLE, RIGHT, first_state
 from jaxdyna.experiments.pong_data import NUM_FRAMES
 from jaxdyna.experiments.pong_judge import OBJECTS
 from jaxdyna.frame_replay import FrameReplay
@@ -107,14 +107,13 @@ def read_state(game: Pong, stack: jax.Array, params: PongParams, key: Key) -> Po
         stack: uint8 ``[H, W, 3 * frames]``, the newest last.
         params: the game's.
         key: draws what cannot be told: where within its pixels an object is, when the opponent
-            rests, how long a missing ball stays away.
+            rests, whether a ball that is out has been counted, how long a missing one stays away.
 
     Returns:
         The state at step 0, its points 0.
     """
-    key_row, key_column, key_own, key_wait, key_opponent, key_clock, key_lost = jax.random.split(
-        key, 7
-    )
+    keys = jax.random.split(key, 8)
+    key_row, key_column, key_own, key_wait, key_opponent, key_clock, key_lost, key_over = keys
     frames = stack.reshape(*stack.shape[:2], NUM_FRAMES, 3) > 127
     opponent, own, ball = (frames[..., channel] for channel in range(3))
     scale, skip = game.scale, game.frame_skip
@@ -130,14 +129,17 @@ def read_state(game: Pong, stack: jax.Array, params: PongParams, key: Key) -> Po
     own_row = _first_pixel(own[..., -1].any(1), PADDLE[0], scale, key_own)
     own_row = own_row + own_row % 2 * jnp.where(own_row % scale == scale - 1, -1, 1)  # shown evenly
     moved = scale * jnp.diff(_middles(own, 0)[-2:])[0]
-    in_play, last = seen[-1], middle[NUM_FRAMES - 1 - jnp.argmax(seen[::-1]), 1]
+    out = (place[1] >= RIGHT) | (place[1] <= LEFT)  # shown for a frame before it counts, and after
+    counted = seen[-1] & out & jax.random.bernoulli(key_over)
+    in_play, last = seen[-1] & ~counted, middle[NUM_FRAMES - 1 - jnp.argmax(seen[::-1]), 1]
     lost = jnp.where(seen.any(), last > FIELD / 2, jax.random.bernoulli(key_lost))
     towards = jnp.where(lost, OWN_SIDE, OPPONENT_SIDE)
     empty = first_state(params)
-    waits = jax.random.randint(key_wait, (), 1, jnp.maximum(params.serve_delay, 1) + 1)
+    delay = jnp.maximum(params.serve_delay, 1)
+    waits = jnp.where(counted, delay, jax.random.randint(key_wait, (), 1, delay + 1))
     return replace(
         empty,
-        ball=jnp.where(in_play, place, empty.ball),
+        ball=jnp.where(seen[-1], place, empty.ball),
         ball_velocity=jnp.where(in_play, velocity, jnp.stack([0, towards])).astype(jnp.int32),
         own=own_row,
         own_target=(own_row + _on_its_way(moved, params.paddle_speed)).astype(jnp.float32),

@@ -83,9 +83,10 @@ class Options:
     """The game's frames in a step."""
     steps: int = 200
     """Steps of an episode."""
-    serve_delay: int = 4
-    """The game's frames from a point to the next serve (63 in the real game, more than a stack of
-    four frames can count). The real game keeps its own."""
+    serve_delay: int = 5
+    """The game's frames from a point to the next serve (63 in the real game, which keeps them, are
+    more than a stack of four frames can count). With no more than --frame-skip a serve can look
+    like a ball that jumps."""
     patch: int = 4
     """Pixels a side of the patches that Fig. 4 works on."""
     widths: tuple[int, ...] = (32, 32, 32)

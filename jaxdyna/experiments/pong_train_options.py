@@ -64,8 +64,9 @@ class Options:
     """The game's pixels in a pixel of the frame, a side: 4 gives 40x40."""
     frame_skip: int = 4
     """The game's frames in a step."""
-    serve_delay: int = 4
-    """The game's frames from a point to the next serve (63 in the real game, which keeps them)."""
+    serve_delay: int = 5
+    """The game's frames from a point to the next serve (63 in the real game, which keeps them).
+    With no more than --frame-skip a serve can look like a ball that jumps."""
     real_first: int = 20
     """N of the paper: real episodes before the first dream."""
     look: Literal["places", "glimpses"] = "places"
