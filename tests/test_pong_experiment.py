@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from jaxdyna import frame_replay
-from jaxdyna.envs import FrameStack
+from jaxdyna.envs import CHANNELS, FrameStack, Palette, Pong
 from jaxdyna.envs.pong_rules import advance
+from jaxdyna.envs.pong_screen import mixture_of, picture_of, shares_of
 from jaxdyna.experiments import pong, pong_ale, pong_judge, pong_train_report, ratios
+from jaxdyna.experiments.pong_colours import in_colours
 from jaxdyna.experiments.pong_data import Player, choose, middle_row, play, take, view_of
 from jaxdyna.experiments.pong_equal import by_tens, equal_episodes
 from jaxdyna.experiments.pong_guided import GuidedDream, GuidedParams, read_state
@@ -19,6 +21,7 @@ from jaxdyna.experiments.pong_judge import OBJECTS, counts, precision, recall
 from jaxdyna.experiments.pong_options import Options, game_of, params_of
 from jaxdyna.experiments.pong_train import make_arms, points
 from jaxdyna.experiments.pong_train_options import PAPER as TRAIN
+from jaxdyna.models import PixelHParams, RectangleConfig, rectangles
 from jaxdyna.networks import SignedReward
 from jaxdyna.statistics import summarise
 from jaxdyna.types import Prediction, Transition
@@ -141,6 +144,42 @@ def test_only_the_chosen_object_is_the_truth(played):
         assert said == 7 and not np.delete(newest, channel, axis=-1).any()
 
 
+def test_objects_are_told_by_their_colours(played):
+    """Exactly on the game's frames; of a pale one there is less."""
+    coloured = view_of(Pong(4, 4, Palette()))
+    world = jax.tree.map(lambda leaf: leaf[:, 5::9], played.world)
+    frame = jax.vmap(jax.vmap(coloured.frame))(world)
+    masks = jax.vmap(jax.vmap(VIEW.frame))(world) > 127
+    np.testing.assert_array_equal(shares_of(frame, Palette()), masks)
+    np.testing.assert_array_equal(picture_of(masks, Palette()), frame)
+    pale = mixture_of(masks / 3, Palette())
+    np.testing.assert_allclose(shares_of(pale, Palette()), masks / 3, atol=1e-5)
+
+
+def test_our_model_sees_the_same_in_colours(played):
+    """Trained and asked in the game's colours it is the model of objects in channels."""
+    shape, seen = GAME.frame_shape, view_of(Pong(4, 4, Palette()))
+    plain = rectangles(shape, 6, RectangleConfig(hidden=(8,)))
+    coloured = in_colours(plain, Palette())
+    assert in_colours(plain, CHANNELS) is plain
+    at = (jnp.array([0, 1, 2]), jnp.array([10, 20, 30]))
+    key, hparams = jax.random.key(0), PixelHParams(1e-3)
+
+    def learn(model, view):
+        some = take(view, played, *at)
+        state = model.init(jax.random.clone(key), hparams)
+        state, metrics = jax.jit(model.update)(state, some, jax.random.key(1), hparams)
+        said = model.predict(state.params, some.obs[0], some.action[0], jax.random.key(2))
+        return metrics["loss"], said, some.obs[0]
+
+    loss, said, _ = learn(plain, VIEW)
+    same, told, obs = learn(coloured, seen)
+    assert loss == same and said.disagreement == told.disagreement
+    np.testing.assert_array_equal(told.next_obs[..., :-3], obs[..., 3:])
+    masks = said.next_obs[..., -3:] > 127
+    np.testing.assert_array_equal(told.next_obs[..., -3:], picture_of(masks, Palette()))
+
+
 def test_recall_and_precision_by_hand():
     truth = np.zeros((2, 3, 3, 3), bool)
     truth[0, :2, 0, OBJECTS["ball"]] = truth[1, 2, 2, OBJECTS["opponent"]] = True
@@ -192,15 +231,16 @@ def test_a_middle_row_is_told_from_a_small_frame(played):
 
 def test_the_real_game_is_collected():
     pytest.importorskip("ale_py")
+    real_view = pong_ale.view_in(CHANNELS)
     options = Options(game="ale", steps=20, horizon=10, frame_skip=4)
     real = pong_ale.collect(options, 2, True, jax.random.key(0))
     assert real.world.shape == (2, 21, 40, 40) and real.action.shape == (2, 20)
-    frames = np.asarray(pong_ale.VIEW.frame(jnp.array(real.world)))
+    frames = np.asarray(real_view.frame(jnp.array(real.world)))
     assert set(np.unique(frames)) == {0, 255}
     np.testing.assert_array_equal(pong_ale.packed(jnp.array(frames)), real.world)
     sizes = frames[:, -1].any((1, 2))
     assert sizes[:, OBJECTS["own paddle"]].all() and sizes[:, OBJECTS["opponent"]].all()
-    seen = take(pong_ale.VIEW, jax.tree.map(jnp.array, real), jnp.array([1]), jnp.array([19]))
+    seen = take(real_view, jax.tree.map(jnp.array, real), jnp.array([1]), jnp.array([19]))
     np.testing.assert_array_equal(seen.next_obs[0, ..., -3:], frames[1, 20])
 
 
@@ -312,6 +352,13 @@ def test_frame_prediction_leaves_tables_and_figures(tmp_path):
         (["--frame-skip", "8", "--arms", "oracle"], "--frame-skip 4"),
         (["--arms"], "--arms"),
         (["--steps", "9"], "--steps"),
+        (["--frames", "rgb"], "--look convolutions"),
+        (["--frames", "grey", "--look", "convolutions"], "--arms dyna cannot tell"),
+        (["--frames", "rgb", "--look", "convolutions", "--arms", "true_own"], "--arms true_own"),
+        (
+            ["--frames", "grey", "--look", "convolutions", "--patch", "5", "--arms", "dyna_l2"],
+            "--patch 5",
+        ),
         (["--glimpse", "4"], "odd"),
         (["--scale", "3"], "divisor of 160"),
         (["--part", "model", "--patch", "20"], "--patch 20"),

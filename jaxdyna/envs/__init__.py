@@ -2,6 +2,7 @@
 
 from jaxdyna.envs.atari import AtariParams, AtariPong, AtariState
 from jaxdyna.envs.cartpole import CartPole, CartPoleParams, CartPoleState
+from jaxdyna.envs.grey import GreyFrames
 from jaxdyna.envs.gymnasium import HostEnv, HostVectorEnv, register
 from jaxdyna.envs.maze import Maze, MazeParams, MazeState
 from jaxdyna.envs.pong import Pong
@@ -19,6 +20,7 @@ __all__ = [
     "CartPoleParams",
     "CartPoleState",
     "FrameStack",
+    "GreyFrames",
     "HostEnv",
     "HostVectorEnv",
     "Maze",

@@ -121,6 +121,48 @@ def blank(shape: tuple[int, ...], palette: Palette) -> jax.Array:
     return jnp.broadcast_to(jnp.array(palette.background, jnp.uint8), shape)
 
 
+def shares_of(frame: jax.Array, palette: Palette) -> jax.Array:
+    """How much of each object there is in each pixel of a frame of the field that may be blurred:
+    a mixture of the background and one object, the one with which it comes closest. In `CHANNELS`
+    an object has a channel of its own, and all of them count.
+
+    Args:
+        frame: ``[..., H, W, 3]``, 0 to 255.
+        palette: the colours on it.
+
+    Returns:
+        ``[..., H, W, 3]`` in [0, 1]: opponent, own paddle and ball.
+    """
+    frame = frame.astype(jnp.float32)
+    if palette == CHANNELS:
+        return frame / 255
+    ground = jnp.array(palette.background, jnp.float32)
+    towards = jnp.array(_in_order(palette), jnp.float32) - ground
+    off = frame - ground
+    share = jnp.clip(off @ towards.T / jnp.square(towards).sum(-1), 0, 1)
+    left = jnp.square(off[..., None, :] - share[..., None] * towards).sum(-1)
+    return jnp.where(jnp.arange(3) == left.argmin(-1)[..., None], share, 0)
+
+
+def picture_of(masks: jax.Array, palette: Palette) -> jax.Array:
+    """The frame of the field with these objects, bool ``[..., H, W, 3]`` as `shares_of`; the ball
+    in front: uint8.
+    """
+    opponent, own, ball = jnp.moveaxis(masks, -1, 0)
+    return paint(blank(masks.shape, palette), ObjectMasks(ball, own, opponent), palette)
+
+
+def mixture_of(shares: jax.Array, palette: Palette) -> jax.Array:
+    """A picture of so much of each object in a pixel, as `shares_of`: 0 to 255."""
+    ground = jnp.array(palette.background, jnp.float32)
+    towards = jnp.array(_in_order(palette), jnp.float32) - ground
+    return jnp.clip(ground + shares.astype(jnp.float32) @ towards, 0, 255)
+
+
+def _in_order(palette: Palette) -> tuple[tuple[int, int, int], ...]:
+    return palette.opponent, palette.own, palette.ball
+
+
 def empty_screen(state: PongState, palette: Palette) -> jax.Array:
     """Walls and points, uint8 ``[210, 160, 3]``."""
     screen = blank((ABOVE + FIELD + BELOW, FIELD, 3), palette)

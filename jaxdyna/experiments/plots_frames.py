@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -18,19 +18,25 @@ CAPTION_WIDTH = 220
 PAUSE_MS = 160
 
 
-def prediction_grid(path: Path, rows: Mapping[str, Sequence[np.ndarray]], seen: np.ndarray) -> None:
+def prediction_grid(
+    path: Path,
+    rows: Mapping[str, Sequence[np.ndarray]],
+    seen: np.ndarray,
+    coloured: Callable[[np.ndarray], np.ndarray] = np.asarray,
+) -> None:
     """Fig. 7: input, truth, prediction and error of a step, a row for each model.
 
     Args:
         path: the PNG.
         rows: by name ``(truth, belief)``, each ``[H, W, 3]`` in [0, 1].
         seen: the stack before the step, ``[H, W, 3 * frames]`` in [0, 1].
+        coloured: from these to the colours that are shown, for all but the error.
     """
     titles = ("input (older frames fainter)", "what came", "what was believed", "error")
     figure, panels = plt.subplots(len(rows), 4, figsize=(9.2, 2.45 * len(rows)), squeeze=False)
     for row, (name, (truth, belief)) in zip(panels, rows.items(), strict=True):
         for panel, picture in zip(
-            row, (trail(seen), truth, belief, np.abs(truth - belief)), strict=True
+            row, (*map(coloured, (trail(seen), truth, belief)), np.abs(truth - belief)), strict=True
         ):
             _show(panel, picture)
         row[0].set_ylabel(name, fontsize=9)

@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.envs import AtariParams, AtariPong
+from jaxdyna.envs import AtariParams, AtariPong, Palette
+from jaxdyna.envs.pong_screen import picture_of
 from jaxdyna.experiments.pong_data import Played, View, choose, draw_player, middle_row
 from jaxdyna.experiments.pong_judge import OBJECTS
 from jaxdyna.experiments.pong_options import POLICIES, Options
@@ -31,8 +32,13 @@ def objects(world: jax.Array) -> jax.Array:
     return ((world[..., None] >> BITS) & 1).astype(bool)
 
 
-VIEW = View(frame=lambda world: 255 * objects(world).astype(jnp.uint8), objects=objects)
-"""Of packed frames."""
+def view_in(palette: Palette) -> View:
+    """How packed frames are seen in these colours."""
+
+    def frame(world: jax.Array) -> jax.Array:
+        return picture_of(objects(world), palette)
+
+    return View(frame, objects, palette)
 
 
 def collect_all(options: Options) -> tuple[Played, Played]:

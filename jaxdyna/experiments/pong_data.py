@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from jaxdyna.envs import Pong, PongParams, PongState
 from jaxdyna.envs.pong_rules import BALL, FIELD, PADDLE
-from jaxdyna.envs.pong_screen import ObjectMasks
+from jaxdyna.envs.pong_screen import ObjectMasks, Palette
 from jaxdyna.types import Key, Transition
 
 NUM_FRAMES = 4
@@ -43,12 +43,14 @@ class View(NamedTuple):
     """How a moment of `Played.world` is seen.
 
     Attributes:
-        frame: to the frame, uint8 ``[H, W, 3]``: opponent, own paddle and ball, a channel each.
-        objects: to what is there, bool ``[H, W, 3]``, in the frame's order.
+        frame: to the frame, uint8 ``[H, W, 3]``.
+        objects: to what is there, bool ``[H, W, 3]``: opponent, own paddle and ball.
+        palette: the frame's colours.
     """
 
     frame: Callable[[Any], jax.Array]
     objects: Callable[[Any], jax.Array]
+    palette: Palette
 
 
 class Player(NamedTuple):
@@ -123,11 +125,11 @@ def view_of(game: Pong) -> View:
     def objects(state: PongState) -> jax.Array:
         return stacked(game.object_masks(state))
 
-    return View(game.frame, objects)
+    return View(game.frame, objects, game.palette)
 
 
 def stacked(masks: ObjectMasks) -> jax.Array:
-    """Masks in the order of a frame's channels, bool ``[..., 3]``."""
+    """Masks in the order of `CHANNELS`, bool ``[..., 3]``."""
     return jnp.stack([masks.opponent, masks.own, masks.ball], axis=-1)
 
 

@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.experiments.pong_data import Played, View, take
+from jaxdyna.envs.pong_screen import picture_of, shares_of
+from jaxdyna.experiments.pong_data import NUM_FRAMES, Played, View, take
 from jaxdyna.models.evaluation import Predict, open_loop
 from jaxdyna.types import Key
 
@@ -24,7 +25,8 @@ class Asked(NamedTuple):
     """Who predicts.
 
     Attributes:
-        believe: ``(params, obs [N, ...], action [N]) -> [N, H, W, 3]``: how likely a pixel is lit.
+        believe: ``(params, obs [N, ...], action [N]) -> [N, H, W, 3]``: how likely a pixel is lit
+            by each object.
         predict: the model's.
         threshold: above which a pixel counts as lit.
     """
@@ -52,9 +54,10 @@ def judge(
         ``one_step`` ``[objects, 3]``: pixels rightly lit, lit, and of the object; ``mass``
         ``[objects, 2]``: sums of the beliefs at its pixels and elsewhere in its channel; ``dream``
         ``[horizon, objects, 3]`` as ``one_step``, and ``dream_unserved`` of those within which no
-        ball has been served yet; ``seen``, ``truth`` and ``belief`` of a step with
-        all objects in sight; ``film_truth`` and ``film_dream`` ``[horizon, H, W, 3]``, of
-        the first episode's dream in which a ball flies longest before one is served.
+        ball has been served yet; ``seen``, ``truth`` and ``belief`` of a step with all objects in
+        sight, how much of each object is in a pixel; ``film_truth`` and ``film_dream``, frames
+        ``[horizon, H, W, 3]`` of the first episode's dream in which a ball flies longest before one
+        is served.
     """
     episodes, steps = new.action.shape
 
@@ -93,7 +96,7 @@ def _dreams(
         dreamed = jax.vmap(one)(first.obs, action, jax.random.split(key_dream, episodes))
         times = start + jnp.arange(horizon + 1)
         truth = jax.vmap(lambda episode: _objects(view, new, episode, times))(jnp.arange(episodes))
-        lit = dreamed > 255 * asked.threshold
+        lit = shares_of(dreamed, view.palette) > asked.threshold
         counted = counts(lit, truth[:, 1:], (2, 3))
         ball = truth[..., OBJECTS["ball"]]
         unserved = jnp.cumsum(_served(ball), axis=1) == 0
@@ -101,7 +104,7 @@ def _dreams(
             counted.sum(0),
             (counted * unserved[..., None, None]).sum(0),
             (ball[0, 1:].any((1, 2)) & unserved[0]).sum(),
-            truth[0, 1:],
+            picture_of(truth[0, 1:], view.palette),
             dreamed[0],
         )
 
@@ -110,7 +113,7 @@ def _dreams(
     return {
         "dream": counted.sum(0),
         "dream_unserved": unserved.sum(0),
-        "film_truth": 255 * truth[in_flight.argmax()].astype(jnp.uint8),
+        "film_truth": truth[in_flight.argmax()],
         "film_dream": dreamed[in_flight.argmax()],
     }
 
@@ -137,9 +140,10 @@ def _shown(asked: Asked, params: Any, view: View, new: Played) -> Judgement:
     changed = (truth ^ before)[..., OBJECTS["own paddle"]].sum((1, 2))
     time = jnp.argmax(jnp.where(whole & before.any((1, 2)).all(-1), changed, -1))
     shown = take(view, new, episode[None], time[None])
+    frames = jnp.split(shown.obs[0], NUM_FRAMES, axis=-1)
     return {
-        "seen": shown.obs[0],
-        "truth": 255 * truth[time].astype(jnp.uint8),
+        "seen": jnp.concatenate([shares_of(frame, view.palette) for frame in frames], axis=-1),
+        "truth": truth[time].astype(jnp.float32),
         "belief": asked.believe(params, shown.obs, shown.action)[0],
     }
 

@@ -8,11 +8,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.envs.pong_screen import shares_of
 from jaxdyna.experiments import pong_ale
 from jaxdyna.experiments.frame_study import Run, Study
+from jaxdyna.experiments.pong_colours import in_channels, in_colours
 from jaxdyna.experiments.pong_data import Played, View, play, sample, view_of
 from jaxdyna.experiments.pong_judge import Asked, Judgement, judge
 from jaxdyna.experiments.pong_options import (
+    PALETTES,
     POLICIES,
     Options,
     adversary_config,
@@ -71,7 +74,7 @@ def _real_study(options: Options, arm: str, model: DynamicsModel, asked: Asked) 
         state = model.init(key_init, _hparams(options, arm, 0.0))
         return Run(None, key, state, jnp.int32(0))
 
-    phases = make_phases(options, arm, model, asked, pong_ale.VIEW)
+    phases = make_phases(options, arm, model, asked, pong_ale.view_in(PALETTES[options.frames]))
     return Study(init, *phases, data=lambda: real_episodes(options))
 
 
@@ -121,13 +124,22 @@ def make_model(options: Options, arm: str) -> tuple[DynamicsModel, Asked]:
     game, config = game_of(options), config_of(options, arm)
     shape, actions = game.frame_shape, game.num_actions
     if isinstance(config, RectangleConfig):
-        believe = rectangle_probability(shape, actions, config)
-        model = rectangles(shape, actions, config)
+        knows = rectangle_probability(shape, actions, config)
+        model = in_colours(rectangles(shape, actions, config), game.palette)
+
+        def believe(params: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
+            return knows(params, in_channels(obs, game.palette), action)
+
         return model, Asked(believe, model.predict, 0.5)
-    adversary = discriminator(shape, adversary_config(options)) if arm == "adversarial" else None
+    adversary = discriminator(shape, adversary_config(shape[0])) if arm == "adversarial" else None
     model = pixels(shape, actions, config, adversary=adversary)
     threshold = 0.5 if config.threshold is None else config.threshold
-    return model, Asked(frame_probability(actions, config), model.predict, threshold)
+    frame = frame_probability(actions, config)
+
+    def seen(params: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
+        return shares_of(255 * frame(params, obs, action), game.palette)
+
+    return model, Asked(seen, model.predict, threshold)
 
 
 def _hparams(options: Options, arm: str, rate: Any) -> Any:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from jaxdyna.envs import CHANNELS, Pong, PongParams
+from jaxdyna.envs import CHANNELS, Palette, Pong, PongParams
 from jaxdyna.envs.gymnasium import check_atari
 from jaxdyna.envs.pong_rules import FASTEST
 from jaxdyna.experiments import cli
@@ -23,6 +23,9 @@ ENDLESS = 1_000_000
 ModelName = Literal["ours", "l2", "l1", "bce", "adversarial"]
 Policy = Literal["random", "mixed"]
 GameName = Literal["jax", "ale"]
+FrameKind = Literal["objects", "rgb"]
+PALETTES: dict[str, Palette] = {"objects": CHANNELS, "rgb": Palette()}
+"""The colours of each kind of frame."""
 POLICIES: tuple[Policy, ...] = ("random", "mixed")
 
 
@@ -57,6 +60,8 @@ class Options:
     game: GameName = "jax"
     """jax: the pure game, objects exact; ale: the Atari 2600 game, objects by their colours (the
     atari extra)."""
+    frames: FrameKind = "objects"
+    """objects: each object in a channel of its own; rgb: in the game's colours, as in the paper."""
     preset: Literal["paper", "lean"] = "paper"
     """paper: the paper's models and other losses beside ours; lean: ours alone."""
     quick: bool = False
@@ -151,10 +156,10 @@ class Options:
 
 
 def game_of(options: Any) -> Pong:
-    """The game that the options ask for, each object in a channel of its own."""
+    """The pure game that the options ask for, in the colours that they ask for."""
     if options.scale < 2:
         raise ValueError("--scale is less than 2: give a divisor of 160 from 2 on")
-    return Pong(options.frame_skip, options.scale, CHANNELS)
+    return Pong(options.frame_skip, options.scale, PALETTES[options.frames])
 
 
 def check_game(game: GameName) -> None:
@@ -205,9 +210,10 @@ def training_of(options: Options, arm: str) -> Training:
     return options.ours if arm == "ours" else options.paper
 
 
-def config_of(options: Options, arm: str) -> PixelConfig | RectangleConfig:
+def config_of(options: Options, arm: str, channels: int = 3) -> PixelConfig | RectangleConfig:
     """The model of this arm. Under L1, L2 and with the adversary frames are in shades, and count as
-    lit from one half on; the cross-entropy has the paper's threshold of 0.2.
+    lit from one half on; the cross-entropy has the paper's threshold of 0.2, but in the game's
+    colours it is in shades as well.
     """
     if arm == "ours":
         optimizer = decayed_adam(options.ours.weight_decay)
@@ -216,21 +222,22 @@ def config_of(options: Options, arm: str) -> PixelConfig | RectangleConfig:
         hidden, dropout = tuple(options.hidden), options.dropout
         return RectangleConfig(reach, hidden=hidden, dropout=dropout, optimizer=optimizer)
     coder = EncoderDecoder(
-        3 * options.patch**2, tuple(options.widths), tuple(options.kernels), options.dense
+        channels * options.patch**2, tuple(options.widths), tuple(options.kernels), options.dense
     )
     network, optimizer = (
         Patched(coder, options.patch),
         decayed_adam(options.paper.weight_decay, 0.5),
     )
-    if arm == "bce":
+    if arm == "bce" and options.frames == "objects":
         return PixelConfig(network, bce, 0.2, None, optimizer=optimizer)
-    loss = l1 if arm == "l1" else l2
+    loss = {"l1": l1, "bce": bce}.get(arm, l2)
     return PixelConfig(network, loss, 0.5, None, optimizer=optimizer, shades=True)
 
 
-def adversary_config(options: Any) -> AdversaryConfig:
-    """The discriminator of the ``adversarial`` arm, on patches that the frame divides into."""
-    side = Pong(scale=options.scale).frame_shape[1]
+def adversary_config(side: int) -> AdversaryConfig:
+    """The discriminator of the ``adversarial`` arm, on patches that frames of so many pixels a side
+    divide into.
+    """
     first = next(size for size in (5, 4, 2, 1) if side % size == 0)
     second = 2 if side // first % 2 == 0 else 1
     return AdversaryConfig(Discriminator((first, second)))

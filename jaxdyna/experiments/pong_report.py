@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
+from jaxdyna.envs.pong_screen import mixture_of
 from jaxdyna.experiments import plots_frames, report
 from jaxdyna.experiments import pong_scores as scores
 from jaxdyna.experiments.pong_judge import OBJECTS, recall
-from jaxdyna.experiments.pong_options import Options, config_of, game_of, training_of
+from jaxdyna.experiments.pong_options import PALETTES, Options, config_of, game_of, training_of
 from jaxdyna.experiments.report import Results, markdown_table
 from jaxdyna.models import RectangleConfig
 
 Curves = Mapping[str, Mapping[str, np.ndarray]]
+SEEN = {"objects": "with each object in a channel of its own", "rgb": "in the game's colours (RGB)"}
 
 
 def figures(out: Path, curves: Curves, options: Options) -> None:
@@ -25,10 +29,10 @@ def figures(out: Path, curves: Curves, options: Options) -> None:
         arm, _, policy = name.partition("@")
         by_policy.setdefault(policy, {})[arm] = judged
     for policy, arms in by_policy.items():
-        rows = {arm: (judged["truth"] / 255, judged["belief"]) for arm, judged in arms.items()}
-        seen = next(iter(arms.values()))["seen"] / 255
+        rows = {arm: (judged["truth"], judged["belief"]) for arm, judged in arms.items()}
+        seen = next(iter(arms.values()))["seen"]
         path = "fig9.png" if policy == _shown(by_policy) else f"fig9_{policy}.png"
-        plots_frames.prediction_grid(out / path, rows, seen)
+        plots_frames.prediction_grid(out / path, rows, seen, partial(_coloured, options))
     arms = by_policy[_shown(by_policy)]
     plots_frames.score_by_horizon(
         out / "horizon.png",
@@ -40,6 +44,11 @@ def figures(out: Path, curves: Curves, options: Options) -> None:
     columns = {"truth": next(iter(films.values()))["film_truth"]}
     columns |= {name: judged["film_dream"] for name, judged in films.items()}
     plots_frames.film(out / "dream.gif", columns)
+
+
+def _coloured(options: Options, shares: np.ndarray) -> np.ndarray:
+    """How so much of each object is seen, in [0, 1]."""
+    return np.asarray(mixture_of(jnp.asarray(shares), PALETTES[options.frames])) / 255
 
 
 def _shown(by_policy: Mapping[str, object]) -> str:
@@ -56,7 +65,8 @@ def markdown(results: Results, options: Options, curves: Curves, out: Path) -> s
         markdown_table(*scores.one_step(results)),
         "\n".join(f"- `{arm}`: {_setting(options, arm)}" for arm in results["arms"]),
         _picture(out, "fig9.png", "Fig. 9: input, truth, belief and error of a step, by model"),
-        "Red is the opponent, green the own paddle, blue the ball.",
+        "Red is the opponent, green the own paddle, blue the ball"
+        + ("." if options.frames == "objects" else " in the errors."),
         "## Blur",
         "Believed: how sure the model is of a pixel that shows the object, 1 at best. Spilled: "
         "what it believes elsewhere, for each such pixel, 0 at best.",
@@ -99,18 +109,29 @@ def _data_said(options: Options) -> str:
         "jax": f"The pure game, a ball served {options.serve_delay} of its frames after a point; "
         "where objects are is exact.",
         "ale": "The Atari 2600 game (`ALE/Pong-v5`, no action repeated at random), its screen "
-        "reduced to the field and each object, told by its colour, to a channel of its own.",
+        "reduced to the field; objects are told by their colours.",
     }[options.game]
     return (
-        f"{options.seeds} runs. {game} Frames of {height}x{width}, {options.frame_skip} of the "
-        f"game's a step. A model, four frames and the action in, the next frame out, is trained on "
-        f"{options.episodes} episodes of {options.steps} steps of the "
+        f"{options.seeds} runs. {game} Frames of {height}x{width} {SEEN[options.frames]}, "
+        f"{options.frame_skip} of the game's a step. A model, four frames and the action in, the "
+        f"next frame out, is trained on {options.episodes} episodes of {options.steps} steps of "
+        "the "
         f"{' policy, or of as many of the '.join(options.stages_of(''))} policy. The mixed one is "
         "of players that follow the ball with a share of their actions that is drawn for each "
         "episode, and act at random with the others. All are judged on "
         f"{options.held_out} new episodes of the mixed policy: the share of an object's pixels "
-        "that are predicted to be lit (recall), and of the pixels lit in its channel that are its "
-        "(precision; - where none is lit). Mean over runs and 95% interval."
+        "that are predicted to be lit (recall), and of the pixels lit as its that are its "
+        f"(precision; - where none is lit).{_shares_said(options)} Mean over runs and 95% interval."
+    )
+
+
+def _shares_said(options: Options) -> str:
+    if options.frames == "objects":
+        return ""
+    return (
+        " A predicted pixel is taken for a mixture of the background and that object with which it "
+        "comes closest, and is lit from one half on. Our model sees the same frames; what it takes "
+        "from them is where each colour is."
     )
 
 

@@ -15,17 +15,16 @@ import jax.numpy as jnp
 
 from jaxdyna.agents import DQNConfig, dqn
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, Metrics
-from jaxdyna.envs import AtariPong, FrameStack, Pong
+from jaxdyna.envs import AtariPong, FrameStack, GreyFrames, Pong
 from jaxdyna.envs.stack import StackState
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.frame_dyna import frame_dyna
+from jaxdyna.experiments.pong_colours import in_colours
 from jaxdyna.experiments.pong_guided import GuidedDream, GuidedParams
 from jaxdyna.experiments.pong_judge import OBJECTS
 from jaxdyna.experiments.pong_options import adversary_config
-from jaxdyna.experiments.pong_train_options import (
-    PRESETS,
-    QUICK,
-    Options,
+from jaxdyna.experiments.pong_train_options import PRESETS, QUICK, Options
+from jaxdyna.experiments.pong_train_parts import (
     agent_config,
     dyna_config,
     env_params,
@@ -53,19 +52,24 @@ TRUE_OBJECTS = {"true_ball": "ball", "true_own": "own paddle", "true_opponent": 
 class Parts(NamedTuple):
     """What decides the parts of an arm."""
 
-    game: Pong | AtariPong
+    game: Pong | AtariPong | GreyFrames
     agent: DQNConfig
     model: PixelConfig | RectangleConfig
     adversary: AdversaryConfig | None
+
+
+make_agent = cache(dqn)
+"""One agent for the same settings."""
 
 
 @cache
 def make_dyna(parts: Parts) -> Dyna:
     """The parts of an arm that dreams: one object, and so one program, for the same settings."""
     env, shape = FrameStack(parts.game), parts.game.frame_shape
-    agent = dqn(shape, env.num_actions, parts.agent)
+    agent = make_agent(shape, env.num_actions, parts.agent)
     if isinstance(parts.model, RectangleConfig):
-        model = rectangles(shape, env.num_actions, parts.model)
+        assert not isinstance(parts.game, GreyFrames)
+        model = in_colours(rectangles(shape, env.num_actions, parts.model), parts.game.palette)
     else:
         judge = None if parts.adversary is None else discriminator(shape, parts.adversary)
         model = pixels(shape, env.num_actions, parts.model, adversary=judge)
@@ -101,27 +105,28 @@ def make_arms(options: Options) -> dict[str, Arm]:
     game, agent = world_of(options), agent_config(options)
 
     def of(model: str) -> Dyna:
-        other = adversary_config(options) if model == "adversarial" else None
+        other = adversary_config(game.frame_shape[0]) if model == "adversarial" else None
         return make_dyna(Parts(game, agent, model_config(options, model), other))
 
-    ours, blurred = of("ours"), of("l2")
-    config = dyna_config(options)
+    blurred, config = of("l2"), dyna_config(options)
     hparams = replace(options.hparams, env=env_params(options))
     rate, weight = options.paper_rate, options.adversarial_weight
     theirs = replace(hparams, model=AdversarialHParams(rate, weight, rate))
-    untrained = replace(hparams, model_trains=False, disagreement_threshold=math.inf)
-    alone = ours._replace(model=None, dream=None, diagnose=None)
+    alone = blurred._replace(model=None, dream=None, diagnose=None)
     busier = replace(agent, updates=agent.updates + agent.fake_updates)
-    more = make_dyna(Parts(game, busier, model_config(options, "ours"), None))
+    more = make_dyna(Parts(game, busier, model_config(options, "l2"), None))
     arms = {
         "model_free": Arm(alone, config, hparams),
         "more_updates": Arm(alone._replace(agent=more.agent), config, hparams),
-        "dyna": Arm(ours, config, hparams),
         "dyna_l2": Arm(blurred, config, theirs),
         "dyna_adversarial": Arm(of("adversarial"), config, theirs),
-        "placebo": Arm(ours, config, untrained),
     }
-    if options.game == "ale":
+    if options.frames == "grey":
+        return arms
+    ours = of("ours")
+    untrained = replace(hparams, model_trains=False, disagreement_threshold=math.inf)
+    arms |= {"dyna": Arm(ours, config, hparams), "placebo": Arm(ours, config, untrained)}
+    if options.game == "ale" or options.frames == "rgb":
         return arms
     oracle = ours._replace(dream=guided(ours, None), diagnose=None)
     arms["oracle"] = Arm(oracle, replace(config, model_updates=0), hparams)

@@ -7,22 +7,19 @@ from pathlib import Path
 from typing import Any, Literal
 
 from jaxdyna.agents import DQNConfig, DQNHParams
-from jaxdyna.dyna import DynaConfig, DynaHParams
-from jaxdyna.envs import AtariParams, AtariPong, Pong, PongParams
+from jaxdyna.dyna import DynaHParams
+from jaxdyna.envs import PongParams
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.maze_train_options import SHARES
-from jaxdyna.experiments.pong_options import DREAM_FROM, check_game, config_of, game_of, params_of
-from jaxdyna.experiments.pong_options import PAPER as PREDICTION
-from jaxdyna.experiments.pong_options import Options as Frames
-from jaxdyna.models import PixelConfig, PixelHParams, RectangleConfig
-from jaxdyna.networks import GlimpseQ, PlaceQ, SignedReward
+from jaxdyna.experiments.pong_options import DREAM_FROM, check_game
+from jaxdyna.experiments.pong_train_parts import NEED_STATE, check_sight, dyna_config, frames_of
+from jaxdyna.models import PixelHParams
 from jaxdyna.statistics import SolveRule
 
 ArmName = Literal[
     "model_free", "dyna", "dyna_l2", "dyna_adversarial", "placebo", "oracle", "more_updates",
     "true_ball", "true_own", "true_opponent",
 ]  # fmt: skip
-NEED_STATE = ("oracle", "true_ball", "true_own", "true_opponent")
 GUIDED_SKIP = 4
 WINDOW = 20
 LEVEL = 0.0
@@ -37,6 +34,9 @@ class Options:
     game: Literal["jax", "ale"] = "jax"
     """jax: the pure game, objects exact; ale: the Atari 2600 game, objects by their colours (the
     atari extra)."""
+    frames: Literal["objects", "rgb", "grey"] = "objects"
+    """objects: each object in a channel of its own; rgb: in the game's colours, as in the paper;
+    grey: the whole screen in grey, 84x84 (Mnih et al. 2015)."""
     preset: Literal["paper", "lean"] = "paper"
     """paper: the paper's models beside ours; lean: model_free and ours, and dreams sooner."""
     quick: bool = False
@@ -61,7 +61,7 @@ class Options:
     steps: int = 200
     """Steps of a real episode."""
     scale: int = 4
-    """The game's pixels in a pixel of the frame, a side: 4 gives 40x40."""
+    """The game's pixels in a pixel of the frame, a side: 4 gives 40x40. Not of grey ones."""
     frame_skip: int = 4
     """The game's frames in a step."""
     serve_delay: int = 5
@@ -69,8 +69,9 @@ class Options:
     With no more than --frame-skip a serve can look like a ball that jumps."""
     real_first: int = 20
     """N of the paper: real episodes before the first dream."""
-    look: Literal["places", "glimpses"] = "places"
-    """What the agent's network takes of its frames: where each colour is, or glimpses of it."""
+    look: Literal["places", "glimpses", "convolutions"] = "places"
+    """What the agent's network takes of its frames: where each object is, glimpses of it, or what
+    convolutions see; rgb and grey frames need the last."""
     glimpse: int = 7
     """Pixels a side of the agent's glimpses, odd."""
     patch: int = 4
@@ -140,6 +141,7 @@ class Options:
                 f"--arms {' '.join(hidden)} read the pure game's state off frames {GUIDED_SKIP} of "
                 f"its own apart: leave out, or choose --frame-skip {GUIDED_SKIP}"
             )
+        check_sight(self)
         if self.hparams.env != PongParams():
             raise ValueError(
                 "--hparams.env is decided by --steps and --serve-delay: leave it at its defaults"
@@ -168,69 +170,6 @@ class Options:
     def rule(self) -> SolveRule:
         """As many points as the opponent."""
         return SolveRule(WINDOW, LEVEL)
-
-
-def frames_of(options: Options) -> Frames:
-    """What `pong_options` is to be told for the same game and models."""
-    names = (
-        "scale", "frame_skip", "steps", "serve_delay", "patch", "widths", "kernels", "dense",
-        "hidden", "dropout",
-    )  # fmt: skip
-    same = {name: getattr(options, name) for name in names}
-    ours = replace(PREDICTION.ours, weight_decay=options.weight_decay)
-    return replace(PREDICTION, **same, horizon=1, dreams=1, ours=ours)
-
-
-def dyna_config(options: Options) -> DynaConfig:
-    """The counts of a run."""
-    return DynaConfig(
-        num_episodes=options.episodes,
-        num_real_first=options.real_first,
-        num_steps=options.steps,
-        model_updates=options.model_updates,
-        model_batch=options.model_batch,
-        dream_episodes=options.dream_episodes,
-        dream_steps=options.dream_steps,
-        rare_share=options.rare_share,
-    )
-
-
-def agent_config(options: Options) -> DQNConfig:
-    """DQN's counts, with room for what this run can add to its replays and no more."""
-    agent, fake = options.agent, options.dream_episodes * options.dream_steps
-    actions = game_of(options).num_actions
-    network: Any = PlaceQ(actions)
-    if options.look == "glimpses":
-        network = GlimpseQ(actions, size=options.glimpse)
-    capacity = max(agent.fake_capacity, fake)
-    return replace(
-        agent,
-        network=network,
-        capacity=max(min(agent.capacity, options.episodes * options.steps), options.steps),
-        episodes=min(agent.episodes, options.episodes),
-        fake_capacity=capacity,
-        fake_episodes=max(capacity // options.dream_steps, options.dream_episodes),
-    )
-
-
-def model_config(options: Options, model: str) -> PixelConfig | RectangleConfig:
-    """The settings of a model of `pong_options.ModelName`, with a head for the reward."""
-    config = config_of(frames_of(options), model)
-    if isinstance(config, RectangleConfig):
-        return replace(config, draws=True)
-    return replace(config, reward=SignedReward(), reward_weight=options.reward_weight)
-
-
-def world_of(options: Options) -> Pong | AtariPong:
-    """The game that is played, each object in a channel of its own."""
-    if options.game == "ale":
-        return AtariPong(options.frame_skip, options.scale)
-    return game_of(options)
-
-
-def env_params(options: Options) -> PongParams | AtariParams:
-    """The game's: episodes of so many steps."""
-    return AtariParams(options.steps) if options.game == "ale" else params_of(options)
 
 
 PAPER = Options()

@@ -7,14 +7,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
 from jaxdyna.experiments import plots, plots_frames, ratios, report
 from jaxdyna.experiments.pong_equal import by_tens, cause_said, equal_episodes
 from jaxdyna.experiments.pong_games import games_said, scores
-from jaxdyna.experiments.pong_options import game_of
+from jaxdyna.experiments.pong_method import method
 from jaxdyna.experiments.pong_train_options import LEVEL, WINDOW, Options
+from jaxdyna.experiments.pong_train_parts import world_of
 from jaxdyna.experiments.report import Results, interval, markdown_table
 from jaxdyna.experiments.run import Arm, ArmRun, first_run
 from jaxdyna.experiments.train_cost import cost_of_parts, cost_table, describe_cost
@@ -31,6 +33,7 @@ MEASURES = {
     "lost": "points lost an episode",
     "wrong_frames": "share of new frames predicted wrong",
 }
+KEY = "Red is the opponent, green the own paddle, blue the ball."
 Curves = dict[str, np.ndarray]
 
 
@@ -46,6 +49,7 @@ class PongReport:
         games]`` of whole games; and `cost_of_parts` of the first run.
         """
         env, agent = arm.dyna.env, arm.dyna.agent
+        channels = world_of(self.options).frame_shape[-1]
         greedy = replace(arm.hparams.agent, epsilon_first=0.0, epsilon_last=0.0)
         policies = replace(run.state.agent, real=None, fake=None)
 
@@ -61,7 +65,8 @@ class PongReport:
             return play(pair[0], pair[1], GREEDY_EPISODES).reward.sum(-1)
 
         def filmed(state, key):
-            return play(state, key, 1).next_obs[..., -3:]
+            newest = play(state, key, 1).next_obs[..., -channels:]
+            return jnp.broadcast_to(newest, (*newest.shape[:-1], 3))
 
         def whole_games(policies, keys):
             def game(pair):
@@ -147,10 +152,10 @@ class PongReport:
             f"Greedy, {GREEDY_EPISODES} new episodes a run: mean point difference, 95% interval.",
             markdown_table(*_greedy(results)),
             *games_said(results),
-            "Red is the opponent, green the own paddle, blue the ball.",
+            KEY if options.frames == "objects" else "",
             "![the first run's final policies](film.gif)",
             "## How",
-            _method(options),
+            method(options),
             "## Time",
             markdown_table(*_time(results)),
             "What a real episode of one run takes once there are dreams; the "
@@ -207,44 +212,3 @@ def _time(results: Results) -> tuple[list[str], list[list[str]]]:
     rows.append(["all, with judging and drawing", "", f"{timing['total_s']:.0f}"])
     cores = results["device"]["cpu_cores"]
     return [f"arm ({cores} cores)", "compiling (s)", "running (s)"], rows
-
-
-def _method(options: Options) -> str:
-    agent, hparams, rate = options.agent, options.hparams.agent, options.hparams.model.learning_rate
-    side = game_of(options).frame_shape[0]
-    rare = options.rare_share
-    often = "" if rare is None else f", at least {rare:.0%} of them points won and lost"
-    sees = "where each colour is and how it moves"
-    if options.look == "glimpses":
-        sees = f"glimpses of {options.glimpse}x{options.glimpse}"
-    return "\n".join(
-        [
-            f"- Frames of {side}x{side}, each object in a channel of its own; a ball is served "
-            f"{options.serve_delay} of the game's frames after a point (63 in the real game)."
-            if options.game == "jax"
-            else f"- Frames of {side}x{side}, each object, told by its colour, in a channel of its "
-            "own.",
-            f"- Agent, in all arms: {'Double ' if agent.double else ''}DQN on four stacked frames "
-            f"by {sees}, {agent.n_step}-step targets, discount {hparams.discount:g}, Adam at "
-            f"{hparams.learning_rate:g}, batches of {agent.batch} drawn by priority with an "
-            f"exponent of {hparams.priority_exponent:g}; "
-            f"{agent.updates} updates after a real episode.",
-            f"- Exploration, in all arms: {hparams.epsilon_first:.0%} of the actions are random "
-            f"for {hparams.epsilon_hold:g} episodes, {hparams.epsilon_last:.0%} after "
-            f"{hparams.epsilon_episodes:g} more.",
-            f"- Models: {options.model_updates} updates after each real episode on batches of "
-            f"{options.model_batch}{often}. `dyna`: categories for the places of each object's "
-            f"edges, dropout {options.dropout:g}, weight decay {options.weight_decay:g}, drawn in "
-            "dreams. `dyna_l2`: Fig. 4 on patches, squared error, in shades; `dyna_adversarial`: "
-            "with the adversarial loss beside it. Both read the reward off their joint features "
-            f"and learn at {options.paper_rate:g}, the discriminator too; ours at {rate:g}. Lambda "
-            f"is {options.adversarial_weight:g}.",
-            f"- Dreams: from real episode {options.real_first} on, after each, "
-            f"{options.dream_episodes} of {options.dream_steps} steps from any real stack of "
-            f"frames, {hparams.epsilon_fake:.0%} of their actions random; then "
-            f"{agent.fake_updates} updates. From then on {hparams.fake_share:.0%} of every batch "
-            "of the agent's is dreamed.",
-            "- Controls: `placebo` dreams in our model, never trained; `oracle` in the true game, "
-            "from a state read off the same frames (what they cannot tell is drawn).",
-        ]
-    )

@@ -37,6 +37,7 @@ from jaxdyna.models.supervised import (
     SupervisedState,
     supervised,
 )
+from jaxdyna.models.translated import translated
 
 __all__ = [
     "AdversarialHParams",
@@ -65,5 +66,6 @@ __all__ = [
     "sample_rule",
     "supervised",
     "threshold_rule",
+    "translated",
     "uniform_start",
 ]
