@@ -4,7 +4,9 @@ XLA's CPU backend takes a naive path for the gradient of a convolution inside a 
 slower than outside. Here the gradient by the input is a convolution with the flipped kernel, and
 that by the weights is made of matrix products. A convolution that grows the picture (a transposed
 one) is a matrix product too, whose results are spread over the larger picture: there is no
-multiplying by the zeros around it, and few output channels cost little.
+multiplying by the zeros around it, and few output channels cost little. One that shrinks it and
+has far more channels coming in than going out is the same the other way round: the few are moved
+about, not the many.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ import jax.numpy as jnp
 def _forward(x: jax.Array, kernel: jax.Array, padding: int) -> jax.Array:
     if padding == kernel.shape[0] - 1 > 0:
         return _spread(x, kernel)
+    if padding == 0 and _narrows(x, kernel):
+        return _gather(x, kernel)
     return jax.lax.conv_general_dilated(
         x, kernel, (1, 1), [(padding, padding)] * 2, dimension_numbers=("NHWC", "HWIO", "NHWC")
     )
@@ -40,6 +44,29 @@ def _spread(x: jax.Array, kernel: jax.Array) -> jax.Array:
     rows = sum(shifted(parts[:, :, :, row], row, 1) for row in range(size))
     parts = jnp.asarray(rows).reshape(count, height + reach, width, size, features)
     return jnp.asarray(sum(shifted(parts[..., column, :], column, 2) for column in range(size)))
+
+
+def _narrows(x: jax.Array, kernel: jax.Array) -> bool:
+    """Whether what comes out takes less than half the room of what comes in."""
+    size, _, channels, features = kernel.shape
+    height, width = x.shape[1:3]
+    shrunk = (height - size + 1) * (width - size + 1)
+    return size > 1 and channels * shrunk > 2 * features * height * width
+
+
+def _gather(x: jax.Array, kernel: jax.Array) -> jax.Array:
+    """The convolution without padding: what each cell gives to the ``k x k`` cells that see it,
+    gathered by rows, then by columns.
+    """
+    size, _, channels, features = kernel.shape
+    count, height, width = x.shape[:3]
+    down, across = height - size + 1, width - size + 1
+    flat = kernel.transpose(2, 0, 1, 3).reshape(channels, -1)
+    parts = (x.reshape(-1, channels) @ flat).reshape(count, height, width, size, size * features)
+    rows = sum(parts[:, row : row + down, :, row] for row in range(size))
+    parts = jnp.asarray(rows).reshape(count, down, width, size, features)
+    seen = sum(parts[:, :, column : column + across, column] for column in range(size))
+    return jnp.asarray(seen)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(2,))
@@ -68,15 +95,17 @@ def _gradients(padding, residuals, gradient):
     flipped = jnp.flip(kernel, (0, 1)).swapaxes(2, 3)
     by_input = _forward(gradient, flipped, size - 1 - padding)
     channels, features = kernel.shape[2:]
-    if padding == 0:
+    if padding == 0 and _narrows(x, kernel):
+        around = jnp.pad(gradient, ((0, 0), *[(size - 1, size - 1)] * 2, (0, 0)))
+        seen = _windows(around, size, x.shape[1:3])
+        by_kernel = _by_seen(x, seen, size, features)
+    elif padding == 0:
         seen = _windows(x, size, gradient.shape[1:3])
         by_kernel = gradient.reshape(-1, features).T @ seen.reshape(-1, size**2 * channels)
         by_kernel = by_kernel.reshape(features, size, size, channels).transpose(1, 2, 3, 0)
     elif padding == size - 1:
         seen = _windows(gradient, size, x.shape[1:3])
-        by_kernel = x.reshape(-1, channels).T @ seen.reshape(-1, size**2 * features)
-        by_kernel = by_kernel.reshape(channels, size, size, features).transpose(1, 2, 0, 3)
-        by_kernel = jnp.flip(by_kernel, (0, 1))
+        by_kernel = _by_seen(x, seen, size, features)
     else:
         padded = jnp.pad(x, ((0, 0), (padding, padding), (padding, padding), (0, 0)))
         flat = gradient.reshape(-1, features)
@@ -86,6 +115,14 @@ def _gradients(padding, residuals, gradient):
         ]
         by_kernel = jnp.stack(cells).reshape(kernel.shape)
     return by_input, by_kernel
+
+
+def _by_seen(x: jax.Array, seen: jax.Array, size: int, features: int) -> jax.Array:
+    """The gradient by the kernel, from what each cell of the input sees of that by the output."""
+    channels = x.shape[-1]
+    by_kernel = x.reshape(-1, channels).T @ seen.reshape(-1, size**2 * features)
+    by_kernel = by_kernel.reshape(channels, size, size, features).transpose(1, 2, 0, 3)
+    return jnp.flip(by_kernel, (0, 1))
 
 
 def _cells(x: jax.Array, size: int, shape: tuple[int, ...]) -> list[jax.Array]:

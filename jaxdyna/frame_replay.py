@@ -212,10 +212,12 @@ def take(replay: FrameReplay, number: jax.Array) -> Transition:
     following = replay.frame[next_slot]
     ended = (number + 1 == replay.added) | (replay.episode[next_slot] != replay.episode[slot])
     after = jnp.where(ended[..., None, None, None], replay.last_frame[row], following)
-    later = jnp.concatenate([frames[..., 1:, :, :, :], after[..., None, :, :, :]], axis=-4)
+    # One stack of all frames, cut twice: two stacks are laid out byte by byte, six times slower.
+    stacked = _stack(jnp.concatenate([frames, after[..., None, :, :, :]], axis=-4))
+    channels = after.shape[-1]
     rest = {name: leaf[slot] for name, leaf in replay.rest.items()}
     rest["mask"] = jnp.where(replay.size > 0, rest["mask"], 0).astype(rest["mask"].dtype)
-    return Transition(obs=_stack(frames), next_obs=_stack(later), **rest)
+    return Transition(obs=stacked[..., :-channels], next_obs=stacked[..., channels:], **rest)
 
 
 def _frames_of(

@@ -14,11 +14,15 @@ def plain(x, kernel, padding):
     )
 
 
-@pytest.mark.parametrize(("size", "padding"), [(1, 0), (3, 1), (4, 0), (4, 3), (5, 2), (5, 4)])
-def test_gradients_agree_with_autodiff(size, padding):
+@pytest.mark.parametrize(
+    ("size", "padding", "channels"),
+    [(1, 0, 5), (3, 1, 5), (4, 0, 5), (4, 3, 5), (5, 2, 5), (5, 4, 5), (3, 0, 60), (2, 1, 60)],
+)
+def test_gradients_agree_with_autodiff(size, padding, channels):
+    """Also where many channels come in and few go out."""
     keys = jax.random.split(jax.random.key(0), 3)
-    x = jax.random.normal(keys[0], (4, 9, 8, 5))
-    kernel = jax.random.normal(keys[1], (size, size, 5, 6)) / size
+    x = jax.random.normal(keys[0], (4, 9, 8, channels))
+    kernel = jax.random.normal(keys[1], (size, size, channels, 6)) / (size * channels**0.5)
     shape = plain(x, kernel, padding).shape
     assert shape[1:3] == (9 + 2 * padding - size + 1, 8 + 2 * padding - size + 1)
     weight = jax.random.normal(keys[2], shape)

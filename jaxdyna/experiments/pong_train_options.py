@@ -187,14 +187,15 @@ PRESETS = {"paper": PAPER, "lean": LEAN}
 _FEW: dict[str, Any] = {
     "quick": True,
     "seeds": 2,
-    "episodes": 26,
+    "episodes": 24,
     "steps": 100,
-    "real_first": 10,
+    "real_first": 8,
     "widths": (8, 8, 8),
     "dense": 64,
     "hidden": (64, 64),
     "model_updates": 30,
-    "dream_episodes": 50,
-    "agent": replace(PAPER.agent, updates=30, fake_updates=30),
+    "model_batch": 32,
+    "dream_episodes": 25,
+    "agent": replace(PAPER.agent, updates=30, fake_updates=30, fake_capacity=5_000),
 }
 QUICK = {"paper": replace(PAPER, **_FEW), "lean": replace(LEAN, **_FEW)}

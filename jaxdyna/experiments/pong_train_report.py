@@ -19,7 +19,7 @@ from jaxdyna.experiments.pong_train_options import LEVEL, WINDOW, Options
 from jaxdyna.experiments.pong_train_parts import world_of
 from jaxdyna.experiments.report import Results, interval, markdown_table
 from jaxdyna.experiments.run import Arm, ArmRun, first_run
-from jaxdyna.experiments.train_cost import cost_of_parts, cost_table, describe_cost
+from jaxdyna.experiments.train_cost import cost_of_parts, cost_said, describe_cost
 from jaxdyna.rollout import rollout
 from jaxdyna.statistics import bootstrap_interval, episodes_to_solve
 
@@ -46,7 +46,7 @@ class PongReport:
     def analyse(self, arm: Arm, run: ArmRun, key: jax.Array) -> Curves:
         """The final greedy policies in new episodes: ``greedy_return`` ``[seeds, episodes]`` and
         ``film_greedy``, frames of one of the first run's; of the real game ``game_score`` ``[seeds,
-        games]`` of whole games; and `cost_of_parts` of the first run.
+        games]`` of whole games; and, but for ``--quick``, `cost_of_parts` of the first run.
         """
         env, agent = arm.dyna.env, arm.dyna.agent
         channels = world_of(self.options).frame_shape[-1]
@@ -86,7 +86,7 @@ class PongReport:
             game_keys = jax.random.split(key_games, len(keys))
             played = jax.jit(whole_games)(policies, game_keys)
             kept |= dict(zip(("game_score", "game_ended"), map(np.asarray, played), strict=True))
-        return kept | cost_of_parts(arm, updates, first, key_cost)
+        return kept if self.options.quick else kept | cost_of_parts(arm, updates, first, key_cost)
 
     def describe(self, curves: Curves) -> Results:
         """The final greedy policy in numbers, and what a real episode costs."""
@@ -99,7 +99,7 @@ class PongReport:
         return judged | {
             "real_steps": steps,
             "by_tens": by_tens(curves["real_return"]),
-            "cost": describe_cost(curves),
+            **({"cost": describe_cost(curves)} if "cost_seconds" in curves else {}),
         }
 
     def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
@@ -158,9 +158,7 @@ class PongReport:
             method(options),
             "## Time",
             markdown_table(*_time(results)),
-            "What a real episode of one run takes once there are dreams; the "
-            "floor is the floating-point operations over the rate of a large matrix product.",
-            markdown_table(*cost_table(results)),
+            *cost_said(results),
         ]  # fmt: skip
         return "\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
 

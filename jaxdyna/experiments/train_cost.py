@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.dyna import DynaState, play_dreams, play_real, train_model
+from jaxdyna.experiments import report
 from jaxdyna.experiments.run import Arm
 
 PARTS = ("real episode", "model updates", "dreams", "agent updates")
@@ -124,6 +125,17 @@ def cost_table(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
                 row = [name, part, f"{1e3 * seconds[part]:.0f}", f"{seconds[part] / total:.0%}"]
                 rows.append([*row, f"{1e3 * floors[part]:.0f}"])
     return ["arm", "part", "ms", "share", "floor (ms)"], rows
+
+
+def cost_said(results: Mapping[str, Any]) -> list[str]:
+    """`cost_table` and what it is, for a report; nothing where nothing was measured."""
+    if not all("cost" in arm for arm in results["arms"].values()):
+        return []
+    return [
+        "What a real episode of one run takes once there are dreams; the floor is the "
+        "floating-point operations over the rate of a large matrix product.",
+        report.markdown_table(*cost_table(results)),
+    ]
 
 
 def matrix_rate() -> float:
