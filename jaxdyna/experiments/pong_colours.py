@@ -6,18 +6,23 @@ import jax
 import jax.numpy as jnp
 
 from jaxdyna.envs import CHANNELS, Palette
-from jaxdyna.envs.pong_screen import picture_of, shares_of
+from jaxdyna.envs.pong_screen import picture_of
 from jaxdyna.models import translated
 from jaxdyna.types import DynamicsModel
 
 
 def in_channels(stack: jax.Array, palette: Palette) -> jax.Array:
-    """A stack ``[..., H, W, 3 * frames]`` in these colours, each object in a channel of its own."""
+    """A stack ``[..., H, W, 3 * frames]`` in these colours, each object in a channel of its own,
+    uint8. A pixel in any other colour shows none of them.
+    """
     if palette == CHANNELS:
         return stack
     frames = jnp.split(stack, stack.shape[-1] // 3, axis=-1)
-    seen = jnp.concatenate([shares_of(frame, palette) > 0.5 for frame in frames], axis=-1)
-    return 255 * seen.astype(jnp.uint8)
+    colours = (palette.opponent, palette.own, palette.ball)
+    seen = [
+        (frame == jnp.array(colour, jnp.uint8)).all(-1) for frame in frames for colour in colours
+    ]
+    return 255 * jnp.stack(seen, axis=-1).astype(jnp.uint8)
 
 
 def in_colours(model: DynamicsModel, palette: Palette) -> DynamicsModel:

@@ -54,10 +54,10 @@ def judge(
         ``one_step`` ``[objects, 3]``: pixels rightly lit, lit, and of the object; ``mass``
         ``[objects, 2]``: sums of the beliefs at its pixels and elsewhere in its channel; ``dream``
         ``[horizon, objects, 3]`` as ``one_step``, and ``dream_unserved`` of those within which no
-        ball has been served yet; ``seen``, ``truth`` and ``belief`` of a step with all objects in
-        sight, how much of each object is in a pixel; ``film_truth`` and ``film_dream``, frames
-        ``[horizon, H, W, 3]`` of the first episode's dream in which a ball flies longest before one
-        is served.
+        ball has been served yet, of which there are ``still_unserved`` ``[horizon]``; ``seen``,
+        ``truth`` and ``belief`` of a step with all objects in sight, how much of each object is in
+        a pixel; ``film_truth`` and ``film_dream``, frames ``[horizon, H, W, 3]`` of the first
+        episode's dream in which a ball flies longest before one is served.
     """
     episodes, steps = new.action.shape
 
@@ -103,16 +103,18 @@ def _dreams(
         return key, (
             counted.sum(0),
             (counted * unserved[..., None, None]).sum(0),
+            unserved.sum(0),
             (ball[0, 1:].any((1, 2)) & unserved[0]).sum(),
             picture_of(truth[0, 1:], view.palette),
             dreamed[0],
         )
 
     played = jax.lax.scan(from_start, key, jnp.array(starts))[1]
-    counted, unserved, in_flight, truth, dreamed = played
+    counted, unserved, still, in_flight, truth, dreamed = played
     return {
         "dream": counted.sum(0),
         "dream_unserved": unserved.sum(0),
+        "still_unserved": still.sum(0),
         "film_truth": truth[in_flight.argmax()],
         "film_dream": dreamed[in_flight.argmax()],
     }

@@ -39,12 +39,14 @@ def describe(curves: Curves, options: Any) -> Results:
             }
             for part in ("dream", "dream_unserved")
         }
+        left = judged["still_unserved"].sum(0)
         arms.setdefault(arm, {})[policy] = {
             "recall": _summaries(recall(judged["one_step"])),
             "precision": _summaries(precision(judged["one_step"])),
             "believed": _summaries(judged["mass"][..., 0] / there),
             "spilled": _summaries(judged["mass"][..., 1] / there),
             **dreams,
+            "still_unserved": {str(n): int(left[n - 1]) for n in steps},
         }
     return arms
 
@@ -93,8 +95,10 @@ def dreams(results: Results, part: str = "dream") -> Table:
         for step, by_object in judged[part]["recall"].items():
             sharp = judged[part]["precision"][step]
             cells = [_mean(score[name]) for score in (by_object, sharp) for name in OBJECTS]
-            rows.append([arm, policy, step, *cells])
-    return ["model", "trained on", "step", *_headers("recall", "precision")], rows
+            number = [f"{judged['still_unserved'][step]}"] if part == "dream_unserved" else []
+            rows.append([arm, policy, step, *number, *cells])
+    counted = ["dreams"] if part == "dream_unserved" else []
+    return ["model", "trained on", "step", *counted, *_headers("recall", "precision")], rows
 
 
 def times(results: Results) -> Table:
