@@ -105,7 +105,7 @@ def test_the_squared_error_blurs_and_the_adversary_minds(batch):
     for weight in (0.0, 10.0):
         hparams = AdversarialHParams(5e-3, jnp.float32(weight), 5e-3)
         state, metrics = train(model, hparams, few, 300)
-        frame = model.predict(
+        frame = jax.jit(model.predict)(
             state.params, batch.obs[0], batch.action[0], jax.random.key(2)
         ).next_obs[..., 9:]
         shown[weight] = np.asarray(frame[3, [2, 5]]).mean(-1)

@@ -1,7 +1,7 @@
 """DQN: its equations by hand, its two replays, and that it learns."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -37,11 +37,17 @@ def make(**changes):
     )
 
 
+@cache
 def play(seed, count=2, steps=6):
+    return _played(jax.random.key(seed), MazeParams(max_steps=steps), count)
+
+
+@partial(jax.jit, static_argnums=2)
+def _played(key, params, count):
     def act(obs, key):
         return jax.random.randint(key, (), 0, 5)
 
-    return rollout(ENV, act, jax.random.key(seed), MazeParams(max_steps=steps), count)
+    return rollout(ENV, act, key, params, count, num_steps=6)
 
 
 def test_td_error_by_hand():

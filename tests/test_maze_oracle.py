@@ -44,24 +44,28 @@ def test_the_state_is_read_off_the_frames():
 def test_a_maze_without_obstacles_is_read_too():
     empty = Maze(size=4, num_obstacles=0)
     stack, state = FrameStack(empty).reset(jax.random.key(0), PARAMS)
-    read = read_state(empty, stack, jax.random.key(1))
+    read = jax.jit(lambda key: read_state(empty, stack, key))(jax.random.key(1))
     np.testing.assert_array_equal(read.agent, state.env.agent)
     assert read.obstacles.shape == (0, 2)
 
 
 def test_a_dream_goes_on_from_a_real_frame():
-    example = jax.tree.map(lambda leaf: leaf[0, 0], play(jax.random.key(2), 1))
-    held = frame_replay.init(200, 10, example, 4)
-    real = play(jax.random.key(2), 5)
+    real = jax.jit(lambda key: play(key, 5))(jax.random.key(2))
+    held = frame_replay.init(200, 10, jax.tree.map(lambda leaf: leaf[0, 0], real), 4)
     held = frame_replay.add(held, real)
     none = frame_replay.sample(held, jax.random.key(4), (0, 3))  # an arm without model updates
     assert none.obs.shape == (0, 3, 8, 8, 12)
     params = ReplayedParams(PARAMS, held, max_steps=30)
     env = ReplayedMaze(ENV)
-    dreamed = rollout(
-        env, lambda obs, key: jax.random.randint(key, (), 0, 5), jax.random.key(3), params, 20,
-        num_steps=6,
-    )  # fmt: skip
+
+    def act(obs, key):
+        return jax.random.randint(key, (), 0, 5)
+
+    @jax.jit
+    def dream(key):
+        return rollout(env, act, key, params, 20, num_steps=6)
+
+    dreamed = dream(jax.random.key(3))
     seen = {stack.tobytes() for stack in np.asarray(real.obs).reshape(-1, *real.obs.shape[2:])}
     assert all(stack.tobytes() in seen for stack in np.asarray(dreamed.obs[:, 0]))
     collision = (dreamed.next_obs[..., -3] & dreamed.next_obs[..., -1]).any((-1, -2))

@@ -167,10 +167,16 @@ def test_our_model_sees_the_same_in_colours(played):
 
     def learn(model, view):
         some = take(view, played, *at)
-        state = model.init(jax.random.clone(key), hparams)
-        state, metrics = jax.jit(model.update)(state, some, jax.random.key(1), hparams)
-        said = model.predict(state.params, some.obs[0], some.action[0], jax.random.key(2))
-        return metrics["loss"], said, some.obs[0]
+
+        @jax.jit
+        def go(key, some):
+            state = model.init(key, hparams)
+            state, metrics = model.update(state, some, jax.random.key(1), hparams)
+            first = jax.tree.map(lambda leaf: leaf[0], some)
+            said = model.predict(state.params, first.obs, first.action, jax.random.key(2))
+            return metrics["loss"], said
+
+        return *go(jax.random.clone(key), some), some.obs[0]
 
     loss, said, _ = learn(plain, VIEW)
     same, told, obs = learn(coloured, seen)

@@ -84,13 +84,15 @@ def test_surprise_by_hand():
 def test_it_learns_to_move_to_vanish_and_to_reward(batch):
     model, state, losses = trained(batch, CONFIG, 400)
     assert losses["loss"][-1] < 0.05 < losses["loss"][0]
-    said = jax.vmap(model.predict, (None, 0, 0, 0))(
+    said = jax.jit(jax.vmap(model.predict, (None, 0, 0, 0)))(
         state.params, batch.obs, batch.action, jax.random.split(jax.random.key(1), 15)
     )
     np.testing.assert_array_equal(said.next_obs, batch.next_obs)
     np.testing.assert_array_equal(said.reward, batch.reward)
     assert not said.terminated.any() and (said.disagreement < 1).all()
-    believed = rectangle_probability(SHAPE, 3, CONFIG)(state.params, batch.obs, batch.action)
+    believed = jax.jit(rectangle_probability(SHAPE, 3, CONFIG))(
+        state.params, batch.obs, batch.action
+    )
     assert believed.shape == (15, *SHAPE)
     np.testing.assert_array_equal(believed > 0.5, batch.next_obs[..., -2:] > 0)
 
@@ -104,7 +106,7 @@ def test_what_is_random_is_drawn_as_a_whole(batch):
     )
     config = RectangleConfig((2, 2), groups=((0, 1),), hidden=(32,), draws=True, dropout=0.1)
     model, state, _ = trained(tossed, config, 300)
-    drawn_frames = jax.vmap(model.predict, (None, None, None, 0))(
+    drawn_frames = jax.jit(jax.vmap(model.predict, (None, None, None, 0)))(
         state.params, tossed.obs[0], jnp.int32(0), jax.random.split(jax.random.key(2), 64)
     ).next_obs[..., -2:]
     at = rectangles_of(drawn_frames, 2).edge[:, 0, 0]
@@ -114,7 +116,7 @@ def test_what_is_random_is_drawn_as_a_whole(batch):
 
 def test_masked_transitions_teach_nothing(batch):
     model = rectangles(SHAPE, 3, CONFIG)
-    state = model.init(jax.random.key(0), HPARAMS)
+    state = jax.jit(model.init)(jax.random.key(0), HPARAMS)
     key = jax.random.key(1)
 
     @jax.jit
