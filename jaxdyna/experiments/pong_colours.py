@@ -13,16 +13,13 @@ from jaxdyna.types import DynamicsModel
 
 def in_channels(stack: jax.Array, palette: Palette) -> jax.Array:
     """A stack ``[..., H, W, 3 * frames]`` in these colours, each object in a channel of its own,
-    uint8. A pixel in any other colour shows none of them.
+    uint8. They are told by how red they are, in which they all differ.
     """
     if palette == CHANNELS:
         return stack
-    frames = jnp.split(stack, stack.shape[-1] // 3, axis=-1)
-    colours = (palette.opponent, palette.own, palette.ball)
-    seen = [
-        (frame == jnp.array(colour, jnp.uint8)).all(-1) for frame in frames for colour in colours
-    ]
-    return 255 * jnp.stack(seen, axis=-1).astype(jnp.uint8)
+    reds = jnp.array([colour[0] for colour in (palette.opponent, palette.own, palette.ball)])
+    red = stack.reshape(*stack.shape[:-1], -1, 3)[..., :1]
+    return 255 * (red == reds.astype(jnp.uint8)).reshape(stack.shape).astype(jnp.uint8)
 
 
 def in_colours(model: DynamicsModel, palette: Palette) -> DynamicsModel:
