@@ -42,18 +42,21 @@ def view_in(palette: Palette) -> View:
 
 
 def collect_all(options: Options) -> tuple[Played, Played]:
-    """What every seed learns from, the episodes of one policy after those of the other, and its
-    held-out episodes of the mixed one, with leading axes ``[1, seeds]``.
+    """What every seed learns from, the episodes of one policy after those of the other (zeros where
+    nobody asks for them), and its held-out episodes of the mixed one, with leading axes ``[1,
+    seeds]``.
     """
     learned, held_out = [], []
     for number in range(options.seeds):
         key = jax.random.fold_in(jax.random.key(options.seed), number)
         key_random, key_mixed, key_new = jax.random.split(key, 3)
         by_policy = {"random": key_random, "mixed": key_mixed}
-        parts = [
-            collect(options, options.episodes, policy == "mixed", by_policy[policy])
-            for policy in POLICIES
-        ]
+        asked = {
+            policy: collect(options, options.episodes, policy == "mixed", by_policy[policy])
+            for policy in dict.fromkeys(options.policies)
+        }
+        nothing = jax.tree.map(np.zeros_like, next(iter(asked.values())))
+        parts = [asked.get(policy, nothing) for policy in POLICIES]
         learned.append(jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts))
         held_out.append(collect(options, options.held_out, True, key_new))
 
