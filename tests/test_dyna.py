@@ -90,11 +90,11 @@ def test_rare_share_decides_what_the_model_sees():
         return state, {"loss": batch.terminated.mean()}
 
     seeing = DYNA._replace(model=DYNA.model._replace(update=update))
-    as_they_come, at_least_none, half, only = (
+    as_they_come, half, only = (
         np.asarray(train(seeing, replace(SMALL, rare_share=share))[1]["model_loss"])
-        for share in (None, 0.0, 0.5, 1.0)
+        for share in (None, 0.5, 1.0)
     )
-    assert 0 < as_they_come.mean() < 0.2 and 0 < at_least_none.mean() < 0.2
+    assert 0 < as_they_come.mean() < 0.2
     assert half.mean() == pytest.approx(0.5, abs=0.15)
     np.testing.assert_array_equal(only, 1)
 
@@ -107,7 +107,8 @@ def test_real_weight_zero_leaves_learning_to_the_dreams():
 
 
 def test_jit_is_eager():
-    config = DynaConfig(**{**vars(SMALL), "num_episodes": 2, "num_real_first": 1, "num_steps": 2})
+    few = {"num_episodes": 1, "num_real_first": 1, "num_steps": 2, "model_updates": 1}
+    config = DynaConfig(**{**vars(SMALL), **few})
     compiled = train(DYNA, config)
     with jax.debug_key_reuse(False), jax.disable_jit():  # the checker is slow op by op
         eager = make_train(DYNA, config)(jax.random.key(0), hparams())

@@ -195,6 +195,7 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
     assert_same(*({k: v for k, v in arm.items() if k not in COSTS} for arm in (ours, whole)))
 
 
+@pytest.mark.slow
 def test_levers(tmp_path, monkeypatch):
     few = {"real_first": 2, "dream_episodes": 10, "dream_steps": 2}
     few |= {"model_updates": 40, "model_widths": (4,)}

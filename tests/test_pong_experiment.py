@@ -13,7 +13,7 @@ from jaxdyna.envs import CHANNELS, FrameStack, Palette, Pong
 from jaxdyna.envs.pong_rules import advance
 from jaxdyna.envs.pong_screen import mixture_of, picture_of, shares_of
 from jaxdyna.experiments import pong, pong_ale, pong_judge, pong_train_report, ratios
-from jaxdyna.experiments.pong_colours import in_colours
+from jaxdyna.experiments.pong_colours import in_channels, in_colours
 from jaxdyna.experiments.pong_data import Player, choose, middle_row, play, take, view_of
 from jaxdyna.experiments.pong_equal import by_tens, equal_episodes
 from jaxdyna.experiments.pong_guided import GuidedDream, GuidedParams, read_state
@@ -21,10 +21,9 @@ from jaxdyna.experiments.pong_judge import OBJECTS, counts, precision, recall
 from jaxdyna.experiments.pong_options import Options, game_of, params_of
 from jaxdyna.experiments.pong_train import make_arms, points
 from jaxdyna.experiments.pong_train_options import PAPER as TRAIN
-from jaxdyna.models import PixelHParams, RectangleConfig, rectangles
 from jaxdyna.networks import SignedReward
 from jaxdyna.statistics import summarise
-from jaxdyna.types import Prediction, Transition
+from jaxdyna.types import DynamicsModel, Prediction, Transition
 
 OPTIONS = Options(steps=60, horizon=10)
 GAME, PARAMS = game_of(OPTIONS), params_of(OPTIONS)
@@ -156,34 +155,29 @@ def test_objects_are_told_by_their_colours(played):
     np.testing.assert_allclose(shares_of(pale, Palette()), masks / 3, atol=1e-5)
 
 
-def test_our_model_sees_the_same_in_colours(played):
-    """Trained and asked in the game's colours it is the model of objects in channels."""
-    shape, seen = GAME.frame_shape, view_of(Pong(4, 4, Palette()))
-    plain = rectangles(shape, 6, RectangleConfig(hidden=(8,)))
-    coloured = in_colours(plain, Palette())
-    assert in_colours(plain, CHANNELS) is plain
-    at = (jnp.array([0, 1, 2]), jnp.array([10, 20, 30]))
-    key, hparams = jax.random.key(0), PixelHParams(1e-3)
+def test_a_model_of_channels_sees_the_same_in_colours(played):
+    """Its predictions are painted, and what it learns from is the game's frames in channels."""
+    coloured, at = view_of(Pong(4, 4, Palette())), (jnp.array([0, 1]), jnp.array([10, 20]))
+    plain, painted = take(VIEW, played, *at), take(coloured, played, *at)
+    np.testing.assert_array_equal(in_channels(painted.obs, Palette()), plain.obs)
 
-    def learn(model, view):
-        some = take(view, played, *at)
+    def predict(params, obs, action, key):
+        turned = jnp.concatenate([obs[..., 3:], obs[::-1, :, -3:]], axis=-1)
+        return Prediction(turned, jnp.float32(2), jnp.float32(0), obs.sum())
 
-        @jax.jit
-        def go(key, some):
-            state = model.init(key, hparams)
-            state, metrics = model.update(state, some, jax.random.key(1), hparams)
-            first = jax.tree.map(lambda leaf: leaf[0], some)
-            said = model.predict(state.params, first.obs, first.action, jax.random.key(2))
-            return metrics["loss"], said
+    def update(state, transitions, key, hparams):
+        return transitions.obs, {"loss": transitions.next_obs.sum()}
 
-        return *go(jax.random.clone(key), some), some.obs[0]
-
-    loss, said, _ = learn(plain, VIEW)
-    same, told, obs = learn(coloured, seen)
-    assert loss == same and said.disagreement == told.disagreement
-    np.testing.assert_array_equal(told.next_obs[..., :-3], obs[..., 3:])
-    masks = said.next_obs[..., -3:] > 127
-    np.testing.assert_array_equal(told.next_obs[..., -3:], picture_of(masks, Palette()))
+    model = DynamicsModel(lambda key, hparams: None, predict, update)
+    assert in_colours(model, CHANNELS) is model
+    seeing = in_colours(model, Palette())
+    said = seeing.predict(None, painted.obs[0], 0, jax.random.key(0))
+    np.testing.assert_array_equal(said.next_obs[..., :-3], painted.obs[0, ..., 3:])
+    np.testing.assert_array_equal(said.next_obs[..., -3:], painted.obs[0, ::-1, :, -3:])
+    assert said.reward == 2 and said.disagreement == plain.obs[0].sum()
+    seen, metrics = seeing.update(None, painted, jax.random.key(1), None)
+    np.testing.assert_array_equal(seen, plain.obs)
+    assert metrics["loss"] == plain.next_obs.sum()
 
 
 def test_recall_and_precision_by_hand():
@@ -338,6 +332,7 @@ TINY_MODEL = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_frame_prediction_leaves_tables_and_figures(tmp_path):
     assert pong.main([*TINY_MODEL, "--out", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "results.json").read_text())
