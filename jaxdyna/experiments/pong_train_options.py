@@ -197,5 +197,6 @@ _FEW: dict[str, Any] = {
     "model_batch": 32,
     "dream_episodes": 25,
     "agent": replace(PAPER.agent, updates=30, fake_updates=30, fake_capacity=5_000),
+    "hparams": LEAN.hparams,
 }
 QUICK = {"paper": replace(PAPER, **_FEW), "lean": replace(LEAN, **_FEW)}
