@@ -249,11 +249,13 @@ def test_arms_are_compared_where_all_have_played():
     short = np.repeat([[0.0, 1.0], [2.0, 3.0]], 10, axis=1)
     long = np.repeat([[-1.0, 0.0, 9.0], [0.0, 2.0, 9.0]], 10, axis=1)
     arms = {name: {"by_tens": by_tens(played)} for name, played in
-            {"model_free": long[:, :-3], "dyna": short}.items()}  # fmt: skip
+            {"model_free": long[:, :-3], "more_updates": long - 1, "dyna": short}.items()}  # fmt: skip
     assert arms["model_free"]["by_tens"] == [[-1, 0], [0, 2]]
     said, table = equal_episodes({"arms": arms})
     assert "episodes 1 to 20" in said
-    assert "| dyna | 1.50 (0.50 to 2.50) | +1.25 (1.00 to 1.50) |" in table
+    assert "| arm | return | less that of model_free | less that of more_updates |" in table
+    assert "| dyna | 1.50 (0.50 to 2.50) | +1.25 (1.00 to 1.50) | +2.25 (2.00 to 2.50) |" in table
+    assert "| more_updates | -0.75 (-1.50 to 0.00) | -1.00 (-1.00 to -1.00) | - |" in table
     assert not equal_episodes({"arms": {"dyna": arms["dyna"]}})
 
 
@@ -293,9 +295,10 @@ def test_arms_differ_by_what_their_names_say():
     arms = make_arms(TRAIN)
     assert arms["dyna"].dyna is arms["placebo"].dyna and not arms["placebo"].hparams.model_trains
     assert arms["oracle"].dyna.dream.env.predict is None
-    for name, thing in (("true_ball", "ball"), ("true_own", "own paddle")):
+    for name, things in (("true_ball", ["ball"]), ("true_frames", OBJECTS)):
         dream = arms[name].dyna.dream.env
-        assert dream.truth == (OBJECTS[thing],) and arms[name].dyna.model is not None
+        assert set(dream.truth) == {OBJECTS[thing] for thing in things}
+        assert dream.predict is not None and arms[name].dyna.model is not None
         assert arms[name].dyna.model is arms["dyna_l2"].dyna.model
     assert arms["model_free"].dyna.agent is arms["dyna"].dyna.agent
     assert arms["more_updates"].dyna.agent is not arms["dyna"].dyna.agent

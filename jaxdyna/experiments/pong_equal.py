@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jaxdyna.experiments.ratios import comparison
@@ -11,6 +13,7 @@ from jaxdyna.statistics import bootstrap_interval
 TEN = 10
 BLOCKS = 2
 BLURRED = "dyna_l2"
+BASELINES = ("model_free", "more_updates")
 
 
 def by_tens(returns: np.ndarray) -> list[list[float]]:
@@ -20,25 +23,27 @@ def by_tens(returns: np.ndarray) -> list[list[float]]:
     return whole.reshape(seeds, -1, TEN).mean(-1).tolist()
 
 
-def equal_episodes(results: Results, baseline: str = "model_free") -> list[str]:
-    """The arms' returns in the last episodes that all of them have played, and less the baseline's
+def equal_episodes(results: Results, baselines: Sequence[str] = BASELINES) -> list[str]:
+    """The arms' returns in the last episodes that all of them have played, and less a baseline's
     run by run: runs of the same number begin with the same key. Empty where there is nothing to
     compare.
     """
     returns = {name: np.array(arm["by_tens"]) for name, arm in results["arms"].items()}
     ends = min(values.shape[1] for values in returns.values())
-    if baseline not in returns or len(returns) == 1 or ends < BLOCKS:
+    known = [name for name in baselines if name in returns]
+    if not known or len(returns) == 1 or ends < BLOCKS:
         return []
-    rows = []
     at = {name: values[:, ends - BLOCKS : ends].mean(1) for name, values in returns.items()}
-    for name, values in at.items():
-        less = "-" if name == baseline else _mean(values - at[baseline], "+")
-        rows.append([name, _mean(values, ""), less])
+
+    def less(name: str, baseline: str) -> str:
+        return "-" if name == baseline else _mean(at[name] - at[baseline], "+")
+
+    rows = [[name, _mean(at[name], ""), *(less(name, other) for other in known)] for name in at]
     first, last = (ends - BLOCKS) * TEN + 1, ends * TEN
     return [
         f"After as many real episodes: the mean return of episodes {first} to {last}, the last "
-        "that every arm has played, and 95% interval over runs.",
-        markdown_table(["arm", "return", f"less that of {baseline}, run by run"], rows),
+        "that every arm has played, and less another arm's run by run; 95% intervals over runs.",
+        markdown_table(["arm", "return", *(f"less that of {name}" for name in known)], rows),
     ]
 
 
@@ -50,10 +55,11 @@ def cause_said(results: Results) -> list[str]:
     both = {name: results["arms"][name] for name in (BLURRED, *mended)}
     return [
         "## Which object's error does it",
-        f"`true_...` is `{BLURRED}` whose dreams show one object as the true game has it, which "
-        "runs beside the dream from a state read off the same frames; rewards are the model's.",
+        f"`true_...` is `{BLURRED}` whose dreams show one object, or all of them (`true_frames`), "
+        "as the true game has it, which runs beside the dream from a state read off the same "
+        "frames; rewards are the model's.",
         *comparison({"arms": both}, {}, BLURRED),
-        *equal_episodes({"arms": both}, BLURRED),
+        *equal_episodes({"arms": both}, (BLURRED,)),
     ]
 
 

@@ -10,7 +10,7 @@ SEEN_SAID = {
     "rgb": "the field in the game's colours",
     "grey": "the whole screen in grey",
 }
-FROM_FIG4 = {"dyna_l2", "dyna_adversarial", "true_ball", "true_own", "true_opponent"}
+FROM_FIG4 = {"dyna_l2", "dyna_adversarial", "true_ball", "true_own", "true_opponent", "true_frames"}
 FROM_OURS = {"dyna", "placebo"}
 
 
@@ -31,7 +31,8 @@ def method(options: Options) -> str:
     if arms & set(NEED_STATE):
         parts.append(
             "A dream with the true game beside it begins at a state read off the same frames; what "
-            "they cannot tell is drawn. `oracle` sees all of the true game, `true_...` one object."
+            "they cannot tell is drawn. `oracle` sees all of the true game and its rewards; "
+            "`true_...` one object of it, or all its frames, and the model's rewards."
         )
     return "\n".join(f"- {part}" for part in parts)
 

@@ -46,7 +46,12 @@ from jaxdyna.models import (
 from jaxdyna.types import Transition
 
 PROG = "python -m jaxdyna.experiments.pong"
-TRUE_OBJECTS = {"true_ball": "ball", "true_own": "own paddle", "true_opponent": "opponent"}
+TRUE_OBJECTS = {
+    "true_ball": ("ball",),
+    "true_own": ("own paddle",),
+    "true_opponent": ("opponent",),
+    "true_frames": tuple(OBJECTS),
+}
 
 
 class Parts(NamedTuple):
@@ -130,8 +135,8 @@ def make_arms(options: Options) -> dict[str, Arm]:
         return arms
     oracle = ours._replace(dream=guided(ours, None), diagnose=None)
     arms["oracle"] = Arm(oracle, replace(config, model_updates=0), hparams)
-    for name, thing in TRUE_OBJECTS.items():
-        mended = blurred._replace(dream=guided(blurred, (OBJECTS[thing],)))
+    for name, things in TRUE_OBJECTS.items():
+        mended = blurred._replace(dream=guided(blurred, tuple(OBJECTS[thing] for thing in things)))
         arms[name] = Arm(mended, config, theirs)
     return arms
 

@@ -18,7 +18,7 @@ from jaxdyna.statistics import SolveRule
 
 ArmName = Literal[
     "model_free", "dyna", "dyna_l2", "dyna_adversarial", "placebo", "oracle", "more_updates",
-    "true_ball", "true_own", "true_opponent",
+    "true_ball", "true_own", "true_opponent", "true_frames",
 ]  # fmt: skip
 GUIDED_SKIP = 4
 WINDOW = 20
@@ -50,8 +50,8 @@ class Options:
     arms: tuple[ArmName, ...] = ("model_free", "dyna_l2", "dyna_adversarial", "dyna")
     """dyna: our model; dyna_l2, dyna_adversarial: the paper's; placebo: ours, never trained;
     oracle: the true game from the same frames; more_updates: as many updates an episode as dyna
-    makes, all of them on real steps; true_ball, true_own, true_opponent: dyna_l2 with
-    one object of its dreams replaced by the truth."""
+    makes, all of them on real steps; true_ball, true_own, true_opponent, true_frames: dyna_l2
+    with one object of its dreams replaced by the truth, or all of them."""
     out: Path | None = None
     """Folder for the results; runs/pong-PRESET by default."""
     resume: bool = False

@@ -14,7 +14,7 @@ from jaxdyna.experiments.pong_options import Options as Frames
 from jaxdyna.models import PixelConfig, RectangleConfig
 from jaxdyna.networks import ConvolutionalQ, GlimpseQ, PlaceQ, SignedReward
 
-NEED_STATE = ("oracle", "true_ball", "true_own", "true_opponent")
+NEED_STATE = ("oracle", "true_ball", "true_own", "true_opponent", "true_frames")
 NEED_OBJECTS = ("dyna", "placebo")
 
 
