@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxdyna import frame_replay
-from jaxdyna.envs import CHANNELS, FrameStack, Palette, Pong
+from jaxdyna.envs import CHANNELS, FrameStack, Palette, Pong, PongParams
 from jaxdyna.envs.pong_rules import advance
 from jaxdyna.envs.pong_screen import mixture_of, picture_of, shares_of
 from jaxdyna.experiments import pong, pong_ale, pong_judge, pong_train_report, ratios
@@ -248,8 +249,8 @@ def test_arms_are_compared_where_all_have_played():
     """By hand: the longer arm's later episodes do not count; differences are run by run."""
     short = np.repeat([[0.0, 1.0], [2.0, 3.0]], 10, axis=1)
     long = np.repeat([[-1.0, 0.0, 9.0], [0.0, 2.0, 9.0]], 10, axis=1)
-    arms = {name: {"by_tens": by_tens(played)} for name, played in
-            {"model_free": long[:, :-3], "more_updates": long - 1, "dyna": short}.items()}  # fmt: skip
+    played = {"model_free": long[:, :-3], "more_updates": long - 1, "dyna": short}
+    arms = {name: {"by_tens": by_tens(returns)} for name, returns in played.items()}
     assert arms["model_free"]["by_tens"] == [[-1, 0], [0, 2]]
     said, table = equal_episodes({"arms": arms})
     assert "episodes 1 to 20" in said
@@ -303,6 +304,13 @@ def test_arms_differ_by_what_their_names_say():
     assert arms["model_free"].dyna.agent is arms["dyna"].dyna.agent
     assert arms["more_updates"].dyna.agent is not arms["dyna"].dyna.agent
     assert arms["more_updates"].dyna.model is arms["more_updates"].dyna.dream is None
+    report = pong_train_report.PongReport(TRAIN)
+    assert report.updates_of(arms["more_updates"]) == (500, 0)
+    assert report.updates_of(arms["dyna"]) == (100, 400)
+    sticky = replace(TRAIN.hparams, env=PongParams(repeat_action_probability=0.25))
+    game = make_arms(replace(TRAIN, hparams=sticky))["oracle"].hparams.env
+    assert game == replace(arms["oracle"].hparams.env, repeat_action_probability=0.25)
+    assert game.max_steps == TRAIN.steps
 
 
 TINY_TRAIN = [
@@ -363,6 +371,9 @@ def test_frame_prediction_leaves_tables_and_figures(tmp_path):
             ["--frames", "grey", "--look", "convolutions", "--patch", "5", "--arms", "dyna_l2"],
             "--patch 5",
         ),
+        (["--hparams.env.max-steps", "9"], "--steps"),
+        (["--hparams.env.opponent-rest", "0"], "--hparams.env.opponent-rest"),
+        (["--game", "ale", "--hparams.env.opponent-speed", "1"], "--game jax"),
         (["--glimpse", "4"], "odd"),
         (["--scale", "3"], "divisor of 160"),
         (["--part", "model", "--patch", "20"], "--patch 20"),

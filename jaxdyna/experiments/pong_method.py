@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
+from jaxdyna.envs import PongParams
 from jaxdyna.experiments.pong_train_options import Options
 from jaxdyna.experiments.pong_train_parts import NEED_STATE, world_of
 
@@ -44,8 +47,20 @@ def _frames(options: Options) -> str:
         return f"{said}{'' if options.frames == 'grey' else ', objects told by their colours'}."
     return (
         f"{said}; a ball is served {options.serve_delay} of the game's frames after a point (63 in "
-        "the real game)."
+        f"the real game).{_otherwise(options)}"
     )
+
+
+def _otherwise(options: Options) -> str:
+    """What of the pure game was set otherwise than in the original."""
+    default = PongParams()
+    given = {field.name: getattr(options.hparams.env, field.name) for field in fields(default)}
+    changed = [
+        f"{name.replace('_', ' ')} {value:g}"
+        for name, value in given.items()
+        if value != getattr(default, name)
+    ]
+    return f" Otherwise than in the original: {', '.join(changed)}." if changed else ""
 
 
 def _agent(options: Options) -> str:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.agents import DQNConfig, dqn
+from jaxdyna.agents import DQNConfig
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, Metrics
 from jaxdyna.envs import AtariPong, FrameStack, GreyFrames, Pong
 from jaxdyna.envs.stack import StackState
@@ -26,8 +26,10 @@ from jaxdyna.experiments.pong_options import adversary_config
 from jaxdyna.experiments.pong_train_options import PRESETS, QUICK, Options
 from jaxdyna.experiments.pong_train_parts import (
     agent_config,
+    busier,
     dyna_config,
     env_params,
+    make_agent,
     model_config,
     world_of,
 )
@@ -61,10 +63,6 @@ class Parts(NamedTuple):
     agent: DQNConfig
     model: PixelConfig | RectangleConfig
     adversary: AdversaryConfig | None
-
-
-make_agent = cache(dqn)
-"""One agent for the same settings."""
 
 
 @cache
@@ -118,8 +116,7 @@ def make_arms(options: Options) -> dict[str, Arm]:
     rate, weight = options.paper_rate, options.adversarial_weight
     theirs = replace(hparams, model=AdversarialHParams(rate, weight, rate))
     alone = blurred._replace(model=None, dream=None, diagnose=None)
-    busier = replace(agent, updates=agent.updates + agent.fake_updates)
-    more = make_dyna(Parts(game, busier, model_config(options, "l2"), None))
+    more = make_dyna(Parts(game, busier(agent), model_config(options, "l2"), None))
     arms = {
         "model_free": Arm(alone, config, hparams),
         "more_updates": Arm(alone._replace(agent=more.agent), config, hparams),

@@ -12,7 +12,13 @@ from jaxdyna.envs import PongParams
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.maze_train_options import SHARES
 from jaxdyna.experiments.pong_options import DREAM_FROM, check_game
-from jaxdyna.experiments.pong_train_parts import NEED_STATE, check_sight, dyna_config, frames_of
+from jaxdyna.experiments.pong_train_parts import (
+    NEED_STATE,
+    check_env,
+    check_sight,
+    dyna_config,
+    frames_of,
+)
 from jaxdyna.models import PixelHParams
 from jaxdyna.statistics import SolveRule
 
@@ -142,10 +148,7 @@ class Options:
                 f"its own apart: leave out, or choose --frame-skip {GUIDED_SKIP}"
             )
         check_sight(self)
-        if self.hparams.env != PongParams():
-            raise ValueError(
-                "--hparams.env is decided by --steps and --serve-delay: leave it at its defaults"
-            )
+        check_env(self)
         cli.check_numbers(self.hparams, "--hparams", may_be_infinite=["disagreement_threshold"])
         for name in SHARES:
             if not 0 <= getattr(self.hparams.agent, name) <= 1:

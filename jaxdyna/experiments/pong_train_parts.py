@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
-from jaxdyna.agents import DQNConfig
+from jaxdyna.agents import DQNConfig, dqn
 from jaxdyna.dyna import DynaConfig
 from jaxdyna.envs import AtariParams, AtariPong, GreyFrames, Pong, PongParams
-from jaxdyna.experiments.pong_options import PALETTES, config_of, game_of, params_of
+from jaxdyna.experiments.pong_options import ENDLESS, PALETTES, config_of, game_of
 from jaxdyna.experiments.pong_options import PAPER as PREDICTION
 from jaxdyna.experiments.pong_options import Options as Frames
 from jaxdyna.models import PixelConfig, RectangleConfig
@@ -16,6 +17,10 @@ from jaxdyna.networks import ConvolutionalQ, GlimpseQ, PlaceQ, SignedReward
 
 NEED_STATE = ("oracle", "true_ball", "true_own", "true_opponent", "true_frames")
 NEED_OBJECTS = ("dyna", "placebo")
+DECIDED = ("points_to_win", "max_steps", "first_serve_delay", "serve_delay")
+
+make_agent = cache(dqn)
+"""One agent for the same settings."""
 
 
 def check_sight(options: Any) -> None:
@@ -90,6 +95,11 @@ def agent_config(options: Any) -> DQNConfig:
     )
 
 
+def busier(agent: DQNConfig) -> DQNConfig:
+    """Makes the updates after fake episodes after real ones as well (the arm ``more_updates``)."""
+    return replace(agent, updates=agent.updates + agent.fake_updates)
+
+
 def model_config(options: Any, model: str) -> PixelConfig | RectangleConfig:
     """The settings of a model of `pong_options.ModelName`, with a head for the reward."""
     config = config_of(frames_of(options), model, world_of(options).frame_shape[-1])
@@ -109,5 +119,36 @@ def world_of(options: Any) -> Pong | AtariPong | GreyFrames:
 
 
 def env_params(options: Any) -> PongParams | AtariParams:
-    """The game's: episodes of so many steps."""
-    return AtariParams(options.steps) if options.game == "ale" else params_of(options)
+    """The game's: episodes of so many steps, however many points; the rest as set."""
+    if options.game == "ale":
+        return AtariParams(options.steps)
+    return replace(
+        options.hparams.env,
+        points_to_win=ENDLESS,
+        max_steps=options.steps,
+        first_serve_delay=options.serve_delay,
+        serve_delay=options.serve_delay,
+    )
+
+
+def check_env(options: Any) -> None:
+    """Whether the game's own settings are possible and not decided by others.
+
+    Raises:
+        ValueError: with what to change.
+    """
+    given, default = options.hparams.env, PongParams()
+    if options.game == "ale" and given != default:
+        raise ValueError("--hparams.env is the pure game's: leave it out, or choose --game jax")
+    for name in DECIDED:
+        if getattr(given, name) != getattr(default, name):
+            flag = name.replace("_", "-")
+            raise ValueError(
+                f"--hparams.env.{flag} is decided by --steps and --serve-delay: leave it out"
+            )
+    if given.opponent_speed < 0 or given.paddle_speed < 0:
+        raise ValueError("--hparams.env: a speed must be at least 0")
+    if given.opponent_rest < 1:
+        raise ValueError("--hparams.env.opponent-rest must be at least 1")
+    if not 0 <= given.repeat_action_probability <= 1:
+        raise ValueError("--hparams.env.repeat-action-probability must lie between 0 and 1")

@@ -16,7 +16,12 @@ from jaxdyna.experiments.pong_equal import by_tens, cause_said, equal_episodes
 from jaxdyna.experiments.pong_games import games_said, scores
 from jaxdyna.experiments.pong_method import method
 from jaxdyna.experiments.pong_train_options import LEVEL, WINDOW, Options
-from jaxdyna.experiments.pong_train_parts import world_of
+from jaxdyna.experiments.pong_train_parts import (
+    agent_config,
+    busier,
+    make_agent,
+    world_of,
+)
 from jaxdyna.experiments.report import Results, interval, markdown_table
 from jaxdyna.experiments.run import Arm, ArmRun, first_run
 from jaxdyna.experiments.train_cost import cost_of_parts, cost_said, describe_cost
@@ -80,13 +85,22 @@ class PongReport:
         first = first_run(run.state)
         alone = replace(first.agent, real=None, fake=None)
         film = jax.jit(filmed)(alone, key_film)
-        updates = (self.options.agent.updates, self.options.agent.fake_updates)
         kept = {"greedy_return": np.asarray(returns), "film_greedy": np.asarray(film)}
         if self.options.game == "ale":
             game_keys = jax.random.split(key_games, len(keys))
             played = jax.jit(whole_games)(policies, game_keys)
             kept |= dict(zip(("game_score", "game_ended"), map(np.asarray, played), strict=True))
-        return kept if self.options.quick else kept | cost_of_parts(arm, updates, first, key_cost)
+        if self.options.quick:
+            return kept
+        return kept | cost_of_parts(arm, self.updates_of(arm), first, key_cost)
+
+    def updates_of(self, arm: Arm) -> tuple[int, int]:
+        """After a real episode and after its dreams."""
+        agent, game = agent_config(self.options), world_of(self.options)
+        busy = busier(agent)
+        if arm.dyna.agent is make_agent(game.frame_shape, game.num_actions, busy):
+            return busy.updates, 0
+        return agent.updates, agent.fake_updates
 
     def describe(self, curves: Curves) -> Results:
         """The final greedy policy in numbers, and what a real episode costs."""
