@@ -235,8 +235,8 @@ def _markdown(results: dict[str, Any], options: Options) -> str:
     parts = [
         "# What data does a CartPole model need?",
         f"`{results['command']}`",
-        f"{options.seeds} runs. In each a policy is trained on {options.episodes} real episodes; "
-        f"the paper preset's model is then fitted {len(SOURCES)} times, each time with "
+        f"{report.runs(options.seeds)}. In each a policy is trained on {options.episodes} real "
+        f"episodes; the paper preset's model is then fitted {len(SOURCES)} times, each time with "
         f"{options.updates:,} updates on {options.transitions:,} transitions, and judged on "
         f"{options.judged_episodes} new episodes of each policy.",
         "## One step ahead",

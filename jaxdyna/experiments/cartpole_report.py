@@ -74,9 +74,10 @@ class CartPoleReport:
         parts = [
             f"# CartPole, `{self.options.preset}` preset",
             f"`{results['command']}`",
-            f"{_seeds(results)} runs of each arm. {str(self.options.rule).capitalize()}. The rule "
-            "is the same for all arms and counts every real episode. An unsolved run is never "
-            "dropped: it leaves the mean undefined, of which only a lower bound (≥) is then known.",
+            f"{report.runs(_seeds(results))} of each arm. {str(self.options.rule).capitalize()}. "
+            "The rule is the same for all arms and counts every real episode. An unsolved run is "
+            "never dropped: it leaves the mean undefined, of which only a lower bound (≥) is "
+            "then known.",
             markdown_table(header, rows),
             *self._comparison(results),
             "![Fig. 6: return against real episodes](fig6.png)",
@@ -99,7 +100,7 @@ class CartPoleReport:
     def summary(self, console: Console, results: Results) -> None:
         """The table in the terminal, and the ratio under it."""
         header, rows = report.short_table(results, self.paper)
-        title = f"CartPole, {self.options.preset} preset, {_seeds(results)} runs an arm"
+        title = f"CartPole, {self.options.preset} preset, {report.runs(_seeds(results))} an arm"
         report.print_table(console, title, header, rows)
         for line in self._comparison(results):
             console.print(line.replace("**", ""))

@@ -67,7 +67,7 @@ def markdown(results: Results, options: Options, curves: Curves, out: Path) -> s
     parts = [
         "# The Maze: predicting frames",
         f"`{results['command']}`",
-        f"{options.seeds} runs. In each a uniformly random policy plays {options.episodes} "
+        f"{report.runs(options.seeds)}. In each a uniformly random policy plays {options.episodes} "
         f"episodes of {options.steps} steps, which the replay keeps at {_bytes(options):.0f} bytes "
         "a transition. A model, four frames and the action in, the next frame out, is trained on "
         "the first so many of them, each time from scratch, and judged on "

@@ -146,11 +146,11 @@ class MazeReport:
         parts = [
             f"# The Maze, `{self.options.preset}` preset",
             f"`{results['command']}`",
-            f"{self.options.seeds} runs of each arm. {str(self.options.rule).capitalize()}. The "
-            "oracle's return is the most that could be had from an episode's own start (value "
-            "iteration). The rule is the same for all arms and counts every real episode. An "
-            "unsolved run is never dropped: it leaves the mean undefined, of which only a lower "
-            "bound (≥) is then known. Held: solved, and still so good over the last "
+            f"{report.runs(self.options.seeds)} of each arm. "
+            f"{str(self.options.rule).capitalize()}. The oracle's return is the most that "
+            "could be had from an episode's own start (value iteration). The rule is the same for "
+            "all arms and counts every real episode. An unsolved run is never dropped: it "
+            "leaves the mean undefined, of which only a lower bound (≥) is then known. Held: solved, and still so good over the last "
             f"{report.HELD_EPISODES} episodes played.",
             markdown_table(*report.arm_table(results, PAPER, WINDOW)),
             *self._comparison(results),
@@ -181,7 +181,7 @@ class MazeReport:
 
     def summary(self, console: Console, results: Results) -> None:
         """The table in the terminal, and the ratio under it."""
-        title = f"Maze, {self.options.preset} preset, {self.options.seeds} runs an arm"
+        title = f"Maze, {self.options.preset} preset, {report.runs(self.options.seeds)} an arm"
         report.print_table(console, title, *report.short_table(results, PAPER, WINDOW))
         for line in self._comparison(results):
             console.print(line.replace("**", ""))

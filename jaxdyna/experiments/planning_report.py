@@ -45,7 +45,7 @@ class PlanningReport(VariantsReport):
             f"`{results['command']}`",
             *_decisions(results["budgets"]),
             "## Acting, imitating, dreaming: CartPole",
-            f"{self.options.seeds} runs an arm. {str(rule).capitalize()}. At most "
+            f"{report.runs(self.options.seeds)} an arm. {str(rule).capitalize()}. At most "
             f"{self.options.episodes} episodes; a mean with an unsolved run in it is shown as its "
             f"lower bound (≥). The difference to «{first}» is paired (the same seeds); "
             f"{DIFFERENCE_SAID}",

@@ -112,7 +112,7 @@ def _data_said(options: Options) -> str:
         "reduced to the field; objects are told by their colours.",
     }[options.game]
     return (
-        f"{options.seeds} runs. {game} Frames of {height}x{width} {SEEN[options.frames]}, "
+        f"{report.runs(options.seeds)}. {game} Frames of {height}x{width} {SEEN[options.frames]}, "
         f"{options.frame_skip} of the game's a step. A model, four frames and the action in, the "
         f"next frame out, is trained on {options.episodes} episodes of {options.steps} steps of "
         "the "

@@ -178,7 +178,7 @@ class PongReport:
 
     def summary(self, console: Console, results: Results) -> None:
         """The table in the terminal, and the ratios under it."""
-        title = f"Pong, {self.options.preset} preset, {self.options.seeds} runs an arm"
+        title = f"Pong, {self.options.preset} preset, {report.runs(self.options.seeds)} an arm"
         report.print_table(console, title, *report.short_table(results, {}, WINDOW))
         for line in _comparison(results):
             console.print(line.replace("**", ""))

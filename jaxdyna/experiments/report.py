@@ -140,6 +140,11 @@ def number(summary: Summary, statistic: str = "mean", digits: int = 0) -> str:
     return "-" if value is None else f"{value:,.{digits}f}"
 
 
+def runs(count: int) -> str:
+    """So many runs, in words."""
+    return f"{count} run" if count == 1 else f"{count} runs"
+
+
 def interval(ends: Sequence[float | None], digits: int = 0) -> str:
     """``low to high``, with ∞ for an open end; a dash where nothing is known."""
     if all(end is None for end in ends):

@@ -159,12 +159,12 @@ class VariantsReport:
         parts = [
             f"# {self.variants.title}",
             f"`{results['command']}`",
-            f"{self.options.seeds} runs of each row. The first row is the `{self.options.preset}` "
-            f"preset; every other one changes what it says. {str(self.variants.rule).capitalize()}."
-            f" At most {self.options.episodes} episodes; a mean with an unsolved run in it is "
-            "shown as its lower bound (≥). The seeds are the same in every row, so that the "
-            f"difference to «{first}» is paired; {DIFFERENCE_SAID} Fake and real "
-            f"return: medians over the first {report.FIRST_DREAMS} episodes with dreams.",
+            f"{report.runs(self.options.seeds)} of each row. The first row is the "
+            f"`{self.options.preset}` preset; every other one changes what it says. "
+            f"{str(self.variants.rule).capitalize()}. At most {self.options.episodes} episodes; "
+            "a mean with an unsolved run in it is shown as its lower bound (≥). The seeds are "
+            f"the same in every row, so that the difference to «{first}» is paired; {DIFFERENCE_SAID} "
+            f"Fake and real return: medians over the first {report.FIRST_DREAMS} episodes with dreams.",
             markdown_table(*self._long_table(results)).rstrip(),
             "![every seed of every variant](variants.png)",
         ]
