@@ -163,8 +163,9 @@ class VariantsReport:
             f"`{self.options.preset}` preset; every other one changes what it says. "
             f"{str(self.variants.rule).capitalize()}. At most {self.options.episodes} episodes; "
             "a mean with an unsolved run in it is shown as its lower bound (≥). The seeds are "
-            f"the same in every row, so that the difference to «{first}» is paired; {DIFFERENCE_SAID} "
-            f"Fake and real return: medians over the first {report.FIRST_DREAMS} episodes with dreams.",
+            f"the same in every row, so that the difference to «{first}» is paired; "
+            f"{DIFFERENCE_SAID} Fake and real return: medians over the first "
+            f"{report.FIRST_DREAMS} episodes with dreams.",
             markdown_table(*self._long_table(results)).rstrip(),
             "![every seed of every variant](variants.png)",
         ]
