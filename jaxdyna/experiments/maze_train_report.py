@@ -151,7 +151,8 @@ class MazeReport:
             "could be had from an episode's own start (value iteration). The rule is the same for "
             "all arms and counts every real episode. An unsolved run is never dropped: it "
             "leaves the mean undefined, of which only a lower bound (≥) is then known. "
-            f"Held: solved, and still so good over the last {report.HELD_EPISODES} episodes played.",
+            f"Held: solved, and still so good over the last "
+            f"{report.HELD_EPISODES} episodes played.",
             markdown_table(*report.arm_table(results, PAPER, WINDOW)),
             *self._comparison(results),
             "![Fig. 8: share of the oracle's return against real episodes](fig8.png)",
