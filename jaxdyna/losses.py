@@ -125,10 +125,13 @@ class PixelLoss(NamedTuple):
     Attributes:
         error: ``(raw, truth) -> [...]``, the loss of each pixel; the truth lies in [0, 1].
         probability: ``raw -> [...]`` in [0, 1]: how much the pixel is believed to be lit.
+        picture: ``raw -> [...]``: what another network that judges pictures is shown; the
+            probability where that has a gradient everywhere, else ``raw`` itself.
     """
 
     error: Callable[[jax.Array, jax.Array], jax.Array]
     probability: Callable[[jax.Array], jax.Array]
+    picture: Callable[[jax.Array], jax.Array] = lambda raw: raw
 
 
 def _clipped(raw: jax.Array) -> jax.Array:
@@ -149,7 +152,7 @@ l1 = PixelLoss(_absolute_error, _clipped)
 l2 = PixelLoss(_half_square, _clipped)
 """``(x - y)² / 2``."""
 
-bce = PixelLoss(optax.sigmoid_binary_cross_entropy, jax.nn.sigmoid)
+bce = PixelLoss(optax.sigmoid_binary_cross_entropy, jax.nn.sigmoid, jax.nn.sigmoid)
 """The multi-label binary cross-entropy: every pixel is a label of its own."""
 
 

@@ -1,5 +1,6 @@
 """The Atari game as a pure function, against Gymnasium's own; skipped without the atari extra."""
 
+import signal
 import sys
 
 import gymnasium
@@ -7,11 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from parts import assert_same
 
 from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette
 from jaxdyna.envs.gymnasium import make_atari
 from jaxdyna.envs.pong_screen import masks_by_colour, paint
-from jaxdyna.experiments import pong, pong_games
+from jaxdyna.experiments import pong, pong_games, run
+from jaxdyna.experiments.storage import read_curves
 from jaxdyna.rollout import rollout
 
 ONE_NO_OP = 1
@@ -21,6 +24,8 @@ def test_without_the_extra_a_line_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "ale_py", None)
     with pytest.raises(ImportError, match=r"pip install 'jaxdyna\[atari\]'"):
         make_atari("Pong", 1)
+    with pytest.raises(ImportError, match=r"pip install 'jaxdyna\[atari\]'"):
+        AtariPong()
 
 
 def test_a_game_that_cannot_be_read_refuses_what_reads_it(capsys):
@@ -108,3 +113,36 @@ def test_who_does_nothing_loses_a_whole_game(env):
 def test_settings_that_cannot_be_are_refused(settings, words):
     with pytest.raises(ValueError, match=words):
         AtariPong(**settings)
+
+
+TINY = [
+    "--game", "ale", "--quick", "--seeds", "1", "--episodes", "24", "--steps", "12",
+    "--dream-steps", "4", "--agent.updates", "1", "--agent.batch", "2", "--arms", "model_free",
+]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_interrupted_and_resumed_is_uninterrupted(env, tmp_path, monkeypatch):
+    """Ctrl-C in the middle of learning: the emulator's games go on bit for bit."""
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert pong.main([*TINY, "--out", str(whole)]) == 0
+    original = run.Runner.run
+
+    def interrupted_run(self, name, arm, resume=False):
+        report = self.report
+
+        def interrupt(stage, done, total, solved):
+            report(stage, done, total, solved)
+            if stage == "running" and 0 < done < total:
+                signal.raise_signal(signal.SIGINT)
+
+        self.report = interrupt
+        return original(self, name, arm, resume)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run.Runner, "run", interrupted_run)
+        assert pong.main([*TINY, "--out", str(parts)]) == 130
+    assert (parts / "checkpoints" / "model_free").is_dir()
+    assert pong.main([*TINY, "--out", str(parts), "--resume"]) == 0
+    assert_same(*(read_curves(folder / "curves.npz")["model_free"] for folder in (whole, parts)))
+    assert "the Atari 2600 game" in (parts / "report.md").read_text()

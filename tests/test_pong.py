@@ -1,11 +1,13 @@
 """Pong against a recorded game of the Atari 2600, rule by rule, and what it looks like."""
 
+from operator import itemgetter
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from parts import assert_same
 
 from jaxdyna import rollout
 from jaxdyna.envs import CHANNELS, CartPole, GreyFrames, Pong, PongParams
@@ -13,7 +15,7 @@ from jaxdyna.envs.grey import grey
 from jaxdyna.envs.pong_rules import FIELD, advance, first_state
 from jaxdyna.envs.pong_screen import masks_by_colour
 from jaxdyna.experiments import pong_likeness
-from jaxdyna.experiments.pong_trace import script
+from jaxdyna.experiments.pong_trace import play, script
 
 TRACE = dict(np.load(Path(__file__).parent / "data" / "pong_trace.npz"))
 BALL = np.stack([TRACE["ball_row"], TRACE["ball_column"]], axis=-1).astype(np.int32)
@@ -147,6 +149,58 @@ def test_both_games_are_played_alike(tmp_path):
     assert pong_likeness.main(arguments) == 0
     report = (tmp_path / "report.md").read_text()
     assert "| Atari 2600 | pure |" in report and (tmp_path / "likeness.png").exists()
+
+
+def test_rallies_speeds_and_bounces_are_those_of_the_real_game():
+    """The recorded player's 12,000 frames there beside 48,000 here: how fast balls fly, at which
+    angle each part of a paddle sends them off, how long rallies last (8 there, so roughly).
+    """
+    real = pong_likeness.samples(TRACE)
+    pure = pong_likeness.samples(play(script(48_000, 5), jax.random.key(5)))
+    for speed in (1, 2, 3):
+        assert abs(np.mean(real["across"] == speed) - np.mean(pure["across"] == speed)) < 0.05
+    parts = 0
+    for side in ("own", "opponent"):
+        for low in range(-4, 16, 4):
+            angles = []
+            for game in (real, pure):
+                hits = game[f"{side}_place"] // 4 == low // 4
+                angles.append(game[f"{side}_angle"][hits])
+            if min(map(len, angles)) >= 3:
+                assert np.median(angles[0]) == pytest.approx(np.median(angles[1]), abs=1)
+                parts += 1
+    assert parts >= 6
+    assert 0.5 < np.mean(real["rally"]) / np.mean(pure["rally"]) < 2
+    assert abs(np.mean(pure["point"])) < 0.6
+
+
+def test_games_with_other_settings_are_batched():
+    """Whatever can be swept, one value a game, as if each were played alone."""
+    env = Pong(scale=8)
+    many = PARAMS.replace(
+        first_serve_delay=jnp.array([1, 2, 9]),
+        opponent_speed=jnp.array([0, 2, 5]),
+        opponent_rest=jnp.array([1, 8, 3]),
+        paddle_speed=jnp.array([0.0, 5.8, 9.0]),
+        repeat_action_probability=jnp.array([0.0, 0.5, 1.0]),
+        max_steps=jnp.array([5, 30, 40]),
+    )
+
+    def played(params):
+        return rollout(
+            env, lambda obs, key: jnp.int32(3), jax.random.key(7), params, 1, num_steps=40
+        )
+
+    axes = PARAMS.replace(
+        **dict.fromkeys(vars(PARAMS))
+        | {name: 0 for name, value in vars(many).items() if jnp.ndim(value)}
+    )
+    batch = jax.jit(jax.vmap(played, (axes,)))(many)
+    for number in range(3):
+        one = {name: value[number] for name, value in vars(many).items() if jnp.ndim(value)}
+        alone = jax.jit(played)(PARAMS.replace(**one))
+        assert_same(jax.tree.map(itemgetter(number), batch), alone)
+    assert batch.mask.sum((1, 2)).tolist() == [5, 30, 40]
 
 
 def test_a_random_player_loses_as_in_the_real_game():

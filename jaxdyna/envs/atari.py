@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from jaxdyna.envs.gymnasium import atari_emulator, spaces
+from jaxdyna.envs.gymnasium import atari_emulator, check_atari, spaces
 from jaxdyna.envs.pong_rules import FIELD, NUM_ACTIONS
 from jaxdyna.envs.pong_screen import CHANNELS, Palette, blank, masks_by_colour, paint
 from jaxdyna.types import Key
@@ -61,6 +61,10 @@ class AtariPong:
         frame_skip: frames a step, all with the same action.
         scale: as in `jaxdyna.envs.Pong`; with 1 the frame is the whole screen in its own colours.
         palette: the colours of a smaller frame; objects are told by their colours on the screen.
+
+    Raises:
+        ImportError: without the ``atari`` extra, with how to install it.
+        ValueError: where a setting is impossible.
     """
 
     frame_skip: int = 4
@@ -68,6 +72,7 @@ class AtariPong:
     palette: Palette = CHANNELS
 
     def __post_init__(self) -> None:
+        check_atari()
         if self.frame_skip < 1:
             raise ValueError(f"frame_skip is {self.frame_skip}: a step has at least 1 frame")
         if self.scale < 1 or FIELD % self.scale:

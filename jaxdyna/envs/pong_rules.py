@@ -43,9 +43,10 @@ class PongParams:
         max_steps: steps until truncation.
         first_serve_delay: frames until the first serve; less than 1 counts as 1.
         serve_delay: frames from a point to the next serve; less than 1 counts as 1.
-        opponent_speed: pixels a frame.
-        opponent_rest: the opponent stands still in one frame of so many.
-        paddle_speed: pixels a frame that the player moves where the own paddle is to go.
+        opponent_speed: pixels a frame, 0 or more.
+        opponent_rest: the opponent stands still in one frame of so many, 1 or more.
+        paddle_speed: pixels a frame, 0 or more, that the player moves where the own paddle is to
+            go.
         repeat_action_probability: that a frame repeats the last frame's action instead ("sticky
             actions"; 0.25 in ``ALE/Pong-v5``, 0 in ``PongNoFrameskip-v4``).
     """

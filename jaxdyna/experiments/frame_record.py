@@ -15,7 +15,7 @@ from jaxdyna.experiments import report
 from jaxdyna.experiments.report import Results
 from jaxdyna.experiments.storage import plain, read_curves, write_curves, write_json
 
-PARTS = ("compile_s", "run_s", "judge_s")
+PARTS = ("collect_s", "compile_s", "run_s", "judge_s")
 NOT_SETTINGS = ("arms", "out", "resume")
 Curves = dict[str, dict[str, np.ndarray]]
 Timing = dict[str, Any]
@@ -50,7 +50,7 @@ class Record:
         """Writes ``curves.npz`` and ``results.json``; returns what is in the latter."""
         write_curves(self.out / "curves.npz", self.curves)
         spent = self.timing.values()
-        total = {part: sum(arm[part] for arm in spent) for part in PARTS}
+        total = {part: sum(arm.get(part, 0.0) for arm in spent) for part in PARTS}
         total["total_s"] = time.perf_counter() - self.begun
         results = {
             "experiment": self.experiment,

@@ -16,8 +16,8 @@ from rich.console import Console
 
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.checkpoint import Checkpoints
-from jaxdyna.experiments.frame_record import Record, Timing
-from jaxdyna.experiments.frame_study import FrameExperiment, Run
+from jaxdyna.experiments.frame_record import PARTS, Record, Timing
+from jaxdyna.experiments.frame_study import FrameExperiment, Run, Study
 from jaxdyna.experiments.progress import Bars
 from jaxdyna.experiments.run import deferred_interrupt
 from jaxdyna.experiments.storage import set_aside, write_text
@@ -113,7 +113,7 @@ class Trainee:
         self.experiment, self.record, self.arm = experiment, record, arm
         self.bars, self.interrupted = bars, interrupted
         self.checkpoints = Checkpoints(record.out / "checkpoints" / arm)
-        nothing: Timing = {"compile_s": 0.0, "run_s": 0.0, "judge_s": 0.0, "stages": {}}
+        nothing: Timing = dict.fromkeys(PARTS, 0.0) | {"stages": {}}
         self.spent = record.timing.setdefault(arm, nothing)
         options = record.options
         study = experiment.make_study(options, arm)
@@ -121,7 +121,7 @@ class Trainee:
         self._start, self._train = make_pieces(study.init, study.train, block)
         self._judge = make_pieces(study.init, study.judge, block)[1]
         self.keys = jax.random.split(jax.random.key(options.seed), options.seeds)
-        self.data = study.data() if study.data else None
+        self.data = self._collect(study)
         self.saved = time.perf_counter()
 
     def play(self, stage: Any) -> None:
@@ -155,6 +155,15 @@ class Trainee:
         self.record.curves[name] = kept
         self.record.write()
         self.bars.advance(self.arm, before + done, "")
+
+    def _collect(self, study: Study) -> Any:
+        """What a host collects for all runs; None where they collect for themselves."""
+        if study.data is None:
+            return None
+        began = time.perf_counter()
+        data = study.data()
+        self._count("collect_s", began)
+        return data
 
     def _updates_at(self, stage: Any) -> int:
         return self.experiment.updates_at(self.record.options, self.arm, stage)
@@ -201,5 +210,5 @@ class Trainee:
     def _count(self, part: str, began: float) -> float:
         """Adds the seconds since ``began`` to a part of the arm's time; returns them."""
         seconds = time.perf_counter() - began
-        self.spent[part] += seconds
+        self.spent[part] = self.spent.get(part, 0.0) + seconds
         return seconds

@@ -28,15 +28,15 @@ def prediction_grid(
 
     Args:
         path: the PNG.
-        rows: by name ``(truth, belief)``, each ``[H, W, 3]`` in [0, 1].
-        seen: the stack before the step, ``[H, W, 3 * frames]`` in [0, 1].
-        coloured: from these to the colours that are shown, for all but the error.
+        rows: by name ``(truth, belief)``, each ``[H, W, 3]`` in [0, 1], as they are shown.
+        seen: the stack before the step, ``[H, W, 3 * frames]`` in [0, 1], on black.
+        coloured: from the stack, the older frames fainter, to the colours that are shown.
     """
     titles = ("input (older frames fainter)", "what came", "what was believed", "error")
     figure, panels = plt.subplots(len(rows), 4, figsize=(9.2, 2.45 * len(rows)), squeeze=False)
     for row, (name, (truth, belief)) in zip(panels, rows.items(), strict=True):
         for panel, picture in zip(
-            row, (*map(coloured, (trail(seen), truth, belief)), np.abs(truth - belief)), strict=True
+            row, (coloured(trail(seen)), truth, belief, np.abs(truth - belief)), strict=True
         ):
             _show(panel, picture)
         row[0].set_ylabel(name, fontsize=9)

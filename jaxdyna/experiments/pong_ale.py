@@ -20,6 +20,10 @@ BITS = np.arange(3, dtype=np.uint8)
 COPIES = 32
 
 
+class GameOver(ValueError):
+    """A game was over before the episode was."""
+
+
 def packed(frame: jax.Array) -> jax.Array:
     """A frame ``[..., 3]`` whose channels are 0 or 255 in one byte a pixel: a thousand episodes of
     40x40 are 0.3 GB.
@@ -71,7 +75,7 @@ def collect(options: Options, episodes: int, mixed: bool, key: Key) -> Played:
 
     Raises:
         ImportError: without the ``atari`` extra.
-        ValueError: where a game is over before an episode is.
+        GameOver: where a game is over before an episode is.
     """
     game, parts = AtariPong(options.frame_skip, options.scale), []
     copies = min(COPIES, episodes)
@@ -79,7 +83,7 @@ def collect(options: Options, episodes: int, mixed: bool, key: Key) -> Played:
         key, key_now = jax.random.split(key)
         played, over = _play(game, options.steps, copies, mixed, key_now)
         if over.any():
-            raise ValueError(
+            raise GameOver(
                 f"--steps is {options.steps}: a game of 21 points ended within it, give fewer"
             )
         parts.append(jax.tree.map(np.asarray, played))

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from jaxdyna.experiments import cli, frame_session, pong_report, pong_scores
+from jaxdyna.experiments import cli, frame_session, pong_ale, pong_report, pong_scores
 from jaxdyna.experiments.frame_study import FrameExperiment
 from jaxdyna.experiments.pong_model import make_study
 from jaxdyna.experiments.pong_options import POLICIES, PRESETS, QUICK, training_of
@@ -35,5 +35,5 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = cli.parse(QUICK if "--quick" in arguments else PRESETS, arguments, PROG)
     try:
         return frame_session.run(EXPERIMENT, options, arguments)
-    except ImportError as error:
+    except (ImportError, pong_ale.GameOver) as error:
         cli.fail(str(error), PROG)

@@ -27,11 +27,13 @@ class Asked(NamedTuple):
     Attributes:
         believe: ``(params, obs [N, ...], action [N]) -> [N, H, W, 3]``: how likely a pixel is lit
             by each object.
+        picture: from the same to the frame that is expected, 0 to 255.
         predict: the model's.
         threshold: above which a pixel counts as lit.
     """
 
     believe: Callable[..., jax.Array]
+    picture: Callable[..., jax.Array]
     predict: Predict
     threshold: float
 
@@ -54,9 +56,10 @@ def judge(
         ``one_step`` ``[objects, 3]``: pixels rightly lit, lit, and of the object; ``mass``
         ``[objects, 2]``: sums of the beliefs at its pixels and elsewhere in its channel; ``dream``
         ``[horizon, objects, 3]`` as ``one_step``, and ``dream_unserved`` of those within which no
-        ball has been served yet, of which there are ``still_unserved`` ``[horizon]``; ``seen``,
-        ``truth`` and ``belief`` of a step with all objects in sight, how much of each object is in
-        a pixel; ``film_truth`` and ``film_dream``, frames ``[horizon, H, W, 3]`` of the first
+        ball has been served yet, of which there are ``still_unserved`` ``[horizon]``; of a step
+        with all objects in sight ``seen``, how much of each object is in a pixel of the stack, and
+        ``truth`` and ``belief``, the frame that came and the expected one, in [0, 1];
+        ``film_truth`` and ``film_dream``, frames ``[horizon, H, W, 3]`` of the first
         episode's dream in which a ball flies longest before one is served.
     """
     episodes, steps = new.action.shape
@@ -145,8 +148,8 @@ def _shown(asked: Asked, params: Any, view: View, new: Played) -> Judgement:
     frames = jnp.split(shown.obs[0], NUM_FRAMES, axis=-1)
     return {
         "seen": jnp.concatenate([shares_of(frame, view.palette) for frame in frames], axis=-1),
-        "truth": truth[time].astype(jnp.float32),
-        "belief": asked.believe(params, shown.obs, shown.action)[0],
+        "truth": picture_of(truth[time], view.palette) / 255,
+        "belief": asked.picture(params, shown.obs, shown.action)[0] / 255,
     }
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.envs.pong_screen import shares_of
+from jaxdyna.envs.pong_screen import mixture_of, shares_of
 from jaxdyna.experiments import pong_ale
 from jaxdyna.experiments.frame_study import Run, Study
 from jaxdyna.experiments.pong_colours import in_channels, in_colours
@@ -130,16 +130,22 @@ def make_model(options: Options, arm: str) -> tuple[DynamicsModel, Asked]:
         def believe(params: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
             return knows(params, in_channels(obs, game.palette), action)
 
-        return model, Asked(believe, model.predict, 0.5)
+        def expect(*args: Any) -> jax.Array:
+            return mixture_of(believe(*args), game.palette)
+
+        return model, Asked(believe, expect, model.predict, 0.5)
     adversary = discriminator(shape, adversary_config(shape[0])) if arm == "adversarial" else None
     model = pixels(shape, actions, config, adversary=adversary)
     threshold = 0.5 if config.threshold is None else config.threshold
     frame = frame_probability(actions, config)
 
-    def seen(params: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
-        return shares_of(255 * frame(params, obs, action), game.palette)
+    def picture(*args: Any) -> jax.Array:
+        return 255 * frame(*args)
 
-    return model, Asked(seen, model.predict, threshold)
+    def seen(*args: Any) -> jax.Array:
+        return shares_of(picture(*args), game.palette)
+
+    return model, Asked(seen, picture, model.predict, threshold)
 
 
 def _hparams(options: Options, arm: str, rate: Any) -> Any:

@@ -17,6 +17,8 @@ from jaxdyna.networks import Discriminator, EncoderDecoder, Patched
 
 DREAM_FROM = 10
 """Step of a held-out episode from which the first dream begins."""
+SERVE_DELAY = 5
+"""Frames of the pure game after which a ball is served, where nothing else is said."""
 ENDLESS = 1_000_000
 """Points that nobody comes to: an episode is so many steps."""
 
@@ -88,7 +90,7 @@ class Options:
     """The game's frames in a step."""
     steps: int = 200
     """Steps of an episode."""
-    serve_delay: int = 5
+    serve_delay: int = SERVE_DELAY
     """The game's frames from a point to the next serve (63 in the real game, which keeps them, are
     more than a stack of four frames can count). With no more than --frame-skip a serve can look
     like a ball that jumps."""
@@ -121,7 +123,7 @@ class Options:
         cli.check_common(self)
         if not self.arms or not self.policies:
             raise ValueError("--arms and --policies: name at least one each")
-        check_game(self.game)
+        check_game(self)
         game_of(self)
         side = Pong(scale=self.scale).frame_shape[1]
         if len(self.widths) != 3 or len(self.kernels) != 3 or min(self.widths) < 1:
@@ -133,6 +135,8 @@ class Options:
                 f"--patch {self.patch} and --kernels {self.kernels} do not fit frames of {side} "
                 "pixels a side: give a divisor of it that leaves more patches than kernels take"
             )
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"--dropout is {self.dropout}: give a number from 0 up to below 1")
         if not 0 <= self.adversarial_weight < float("inf"):
             raise ValueError("--adversarial-weight must be a finite number of at least 0")
         span = DREAM_FROM + self.horizon
@@ -162,15 +166,18 @@ def game_of(options: Any) -> Pong:
     return Pong(options.frame_skip, options.scale, PALETTES[options.frames])
 
 
-def check_game(game: GameName) -> None:
-    """Whether it can be played here.
+def check_game(options: Any) -> None:
+    """Whether the game can be played here, and as asked for.
 
     Raises:
-        ValueError: with how to install what is missing.
+        ValueError: with what to change, or how to install what is missing.
     """
+    if options.game != "ale":
+        return
+    if options.serve_delay != SERVE_DELAY:
+        raise ValueError("--serve-delay: the real game keeps its own, leave it out of --game ale")
     try:
-        if game == "ale":
-            check_atari()
+        check_atari()
     except ImportError as error:
         raise ValueError(f"--game ale: {error}") from None
 

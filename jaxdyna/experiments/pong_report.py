@@ -65,11 +65,13 @@ def markdown(results: Results, options: Options, curves: Curves, out: Path) -> s
         markdown_table(*scores.one_step(results)),
         "\n".join(f"- `{arm}`: {_setting(options, arm)}" for arm in results["arms"]),
         _picture(out, "fig9.png", "Fig. 9: input, truth, belief and error of a step, by model"),
-        "Red is the opponent, green the own paddle, blue the ball"
-        + ("." if options.frames == "objects" else " in the errors."),
+        "Red is the opponent, green the own paddle, blue the ball."
+        if options.frames == "objects"
+        else "Errors are differences of colours, on black.",
         "## Blur",
         "Believed: how sure the model is of a pixel that shows the object, 1 at best. Spilled: "
-        "what it believes elsewhere, for each such pixel, 0 at best.",
+        "what it believes of the object anywhere else in the frame, for each such pixel, 0 at "
+        "best.",
         scores.random_said(results),
         markdown_table(*scores.blur(results)),
         _picture(out, "fig9_random.png", "the same models, trained on the random policy alone"),
@@ -138,9 +140,11 @@ def _shares_said(options: Options) -> str:
 def _setting(options: Options, arm: str) -> str:
     config, training = config_of(options, arm), training_of(options, arm)
     rates = "0.9, 0.999" if arm == "ours" else "0.5, 0.999"
+    decay = training.weight_decay
     trained = (
-        f"{training.updates:,} updates on batches of {training.batch}, AdamW ({rates}) from "
-        f"{training.learning_rate:g} down along a cosine, weight decay {training.weight_decay:g}"
+        f"{training.updates:,} updates on batches of {training.batch}, "
+        f"{'AdamW' if decay else 'Adam'} ({rates}) from {training.learning_rate:g} down along a "
+        f"cosine{f', weight decay {decay:g}' if decay else ''}"
     )
     if isinstance(config, RectangleConfig):
         return (

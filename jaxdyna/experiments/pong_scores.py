@@ -106,8 +106,12 @@ def times(results: Results) -> Table:
     rows = []
     for arm, spent in results["timing"]["arms"].items():
         parts = {f"training, {name} policy": took for name, took in spent["stages"].items()}
-        parts |= {"collecting, compiling": spent["compile_s"], "judging": spent["judge_s"]}
-        rows += [[arm, part, f"{seconds:.0f}"] for part, seconds in parts.items()]
+        parts |= {
+            "collecting": spent.get("collect_s", 0.0),
+            "compiling" if spent.get("collect_s") else "collecting, compiling": spent["compile_s"],
+            "judging": spent["judge_s"],
+        }
+        rows += [[arm, part, f"{took:.0f}"] for part, took in parts.items() if took]
     return [f"model ({results['device']['cpu_cores']} cores)", "part", "seconds"], rows
 
 
@@ -129,7 +133,7 @@ def random_said(results: Results) -> str:
         return ""
     return (
         "Trained on the random policy alone against the mixed one, recall of the own paddle, and "
-        f"in brackets what is spilled around it: {'; '.join(said)}."
+        f"in brackets what is believed of it elsewhere: {'; '.join(said)}."
     )
 
 
@@ -141,12 +145,14 @@ def _mean(summary: Results) -> str:
     return "-" if summary["mean"] is None else f"{summary['mean']:.3f}"
 
 
+def _interval(summary: Results) -> str:
+    """Of several runs; one has none."""
+    return f" ({interval(summary['ci95'], 3)})" if len(summary["per_seed"]) > 1 else ""
+
+
 def _cells(judged: Results, *parts: str) -> list[str]:
-    return [
-        f"{_mean(judged[part][name])} ({interval(judged[part][name]['ci95'], 3)})"
-        for part in parts
-        for name in OBJECTS
-    ]
+    summaries = [judged[part][name] for part in parts for name in OBJECTS]
+    return [_mean(each) + _interval(each) for each in summaries]
 
 
 def _each(results: Results) -> Iterator[tuple[str, str, Results]]:

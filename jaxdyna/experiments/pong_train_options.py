@@ -11,7 +11,7 @@ from jaxdyna.dyna import DynaHParams
 from jaxdyna.envs import PongParams
 from jaxdyna.experiments import cli
 from jaxdyna.experiments.maze_train_options import SHARES
-from jaxdyna.experiments.pong_options import DREAM_FROM, check_game
+from jaxdyna.experiments.pong_options import DREAM_FROM, SERVE_DELAY, check_game
 from jaxdyna.experiments.pong_train_parts import (
     NEED_STATE,
     check_env,
@@ -70,7 +70,7 @@ class Options:
     """The game's pixels in a pixel of the frame, a side: 4 gives 40x40. Not of grey ones."""
     frame_skip: int = 4
     """The game's frames in a step."""
-    serve_delay: int = 5
+    serve_delay: int = SERVE_DELAY
     """The game's frames from a point to the next serve (63 in the real game, which keeps them).
     With no more than --frame-skip a serve can look like a ball that jumps."""
     real_first: int = 20
@@ -135,7 +135,7 @@ class Options:
         cli.check_common(self)
         if not self.arms:
             raise ValueError("--arms is empty: name at least one arm")
-        check_game(self.game)
+        check_game(self)
         hidden = [arm for arm in self.arms if arm in NEED_STATE]
         if self.game == "ale" and hidden:
             raise ValueError(

@@ -5,6 +5,7 @@ from jaxdyna.models.adversarial import (
     Adversary,
     AdversaryConfig,
     discriminator,
+    gan_adam,
 )
 from jaxdyna.models.environment import (
     LearnedEnvironment,
@@ -58,6 +59,7 @@ __all__ = [
     "discriminator",
     "doubtful",
     "frame_probability",
+    "gan_adam",
     "never",
     "pixels",
     "probability_rule",

@@ -33,21 +33,21 @@ class AdversarialHParams:
     discriminator_learning_rate: float | jax.Array = 2e-4
 
 
+gan_adam = partial(optax.adam, b1=0.5)
+"""Adam with the decay rates (0.5, 0.999) (Radford et al. 2016), for the model and its adversary."""
+
+
 @dataclass(frozen=True)
 class AdversaryConfig:
     """What decides the program.
 
     Attributes:
         network: from pictures ``[N, H, W, C]`` to log odds ``[N]``.
-        picture: from the model's raw output to the picture that is judged; with the binary
-            cross-entropy ``jax.nn.sigmoid``.
-        optimizer: from a learning rate to an optax transformation; Adam with the decay rates (0.5,
-            0.999) by default (Radford et al. 2016).
+        optimizer: from a learning rate to an optax transformation; `gan_adam` by default.
     """
 
     network: Any = Discriminator()
-    picture: Callable[[jax.Array], jax.Array] = lambda raw: raw
-    optimizer: Callable[[Any], optax.GradientTransformation] = partial(optax.adam, b1=0.5)
+    optimizer: Callable[[Any], optax.GradientTransformation] = gan_adam
 
 
 @struct.dataclass
@@ -63,9 +63,9 @@ class Adversary(NamedTuple):
 
     Attributes:
         init: ``(key, hparams) -> state``.
-        unmasked: ``(state, raw [N, H, W, C]) -> loss [N]``: how surely each predicted frame is
+        unmasked: ``(state, made [N, H, W, C]) -> loss [N]``: how surely each predicted frame is
             seen through.
-        update: ``(state, raw, truth, weight [N], hparams) -> (state, metrics)``: one step.
+        update: ``(state, made, truth, weight [N], hparams) -> (state, metrics)``: one step.
     """
 
     init: Callable[[Key, Any], Any]
@@ -80,7 +80,13 @@ def discriminator(
 
     The model minimises ``-log D(G(z))`` (the non-saturating form of Goodfellow et al. 2014) rather
     than the printed ``+ log D(G(z))``, which would reward it for being seen through. The
-    discriminator minimises the negative of the printed objective.
+    discriminator minimises the negative of the printed objective. The paper's model, Fig. 4 scaled
+    to the frame, with both optimisers' states in one `DynamicsModel`::
+
+        network = Patched(EncoderDecoder(3 * 4**2, (32, 32, 32), (4, 3, 3), 512), 4)
+        config = PixelConfig(network, l2, reward=None, optimizer=gan_adam, shades=True)
+        model = pixels((40, 40, 3), 6, config, adversary=discriminator((40, 40, 3)))
+        state = model.init(key, AdversarialHParams(4e-3, 0.1, 4e-3))
 
     Args:
         frame_shape: ``(height, width, channels)``.
@@ -99,19 +105,19 @@ def discriminator(
     def optimizer(hparams: AdversarialHParams) -> optax.GradientTransformation:
         return config.optimizer(hparams.discriminator_learning_rate)
 
-    def unmasked(state: AdversaryState, raw: jax.Array) -> jax.Array:
-        return deceive(network.apply(state.params, config.picture(raw)))
+    def unmasked(state: AdversaryState, made: jax.Array) -> jax.Array:
+        return deceive(network.apply(state.params, made))
 
     def update(
         state: AdversaryState,
-        raw: jax.Array,
+        made: jax.Array,
         truth: jax.Array,
         weight: jax.Array,
         hparams: AdversarialHParams,
     ) -> tuple[AdversaryState, dict[str, jax.Array]]:
         def loss_fn(params):
             real = network.apply(params, truth)
-            fake = network.apply(params, config.picture(raw))
+            fake = network.apply(params, made)
             scale = jnp.maximum(weight.sum(), 1e-6)
             right = 0.5 * ((real > 0).astype(jnp.float32) + (fake < 0))
             losses = jax.vmap(discern)(real, fake)

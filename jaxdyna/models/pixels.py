@@ -170,7 +170,9 @@ def _learner(
             parts = _losses(config, raw, outcome, truth, batch)
             importance = {"reward_loss": config.reward_weight}
             if adversary is not None:
-                parts["adversarial_loss"] = adversary.unmasked(state.adversary, raw)
+                parts["adversarial_loss"] = adversary.unmasked(
+                    state.adversary, config.loss.picture(raw)
+                )
                 importance["adversarial_loss"] = hparams.adversarial_weight
             total, means = _weigh(parts, importance, weight)
             return total, (settled, means, raw)
@@ -182,7 +184,8 @@ def _learner(
         trained = optax.apply_updates(state.params["params"], updates)
         other = None
         if adversary is not None:
-            other, seen = adversary.update(state.adversary, raw, truth, weight, hparams)
+            made = config.loss.picture(raw)
+            other, seen = adversary.update(state.adversary, made, truth, weight, hparams)
             means |= seen
         new = PixelState({**state.params, **settled, "params": trained}, opt_state, other)
         new = jax.tree.map(lambda new, old: jnp.where((weight > 0).any(), new, old), new, state)
