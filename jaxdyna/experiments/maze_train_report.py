@@ -47,8 +47,8 @@ class MazeReport:
     options: Options
 
     def analyse(self, arm: Arm, run: ArmRun, key: jax.Array) -> Curves:
-        """The final greedy policies on new starts: ``greedy_...`` ``[seeds, starts]``; and
-        `cost_of_parts` of the first run.
+        """The final greedy policies on new starts: ``greedy_...`` ``[seeds, starts]``; and,
+        but for ``--quick``, `cost_of_parts` of the first run.
         """
         env, agent = arm.dyna.env, arm.dyna.agent
         params, steps = arm.hparams.env, self.options.steps
@@ -79,7 +79,10 @@ class MazeReport:
         judged = jax.jit(lambda *args: jax.lax.map(lambda pair: judge(*pair), args))(policies, keys)
         first = first_run(run.state)
         updates = (self.options.agent.updates, self.options.agent.fake_updates)
-        return jax.tree.map(np.asarray, judged) | cost_of_parts(arm, updates, first, key_cost)
+        kept = jax.tree.map(np.asarray, judged)
+        if self.options.quick:
+            return kept
+        return kept | cost_of_parts(arm, updates, first, key_cost)
 
     def describe(self, curves: Curves) -> Results:
         """The final greedy policy in numbers, how wrong the model is, and what an episode costs."""
@@ -93,7 +96,7 @@ class MazeReport:
             for wrong in WRONG
             if wrong in curves
         }
-        return {"greedy": greedy, "model": model, "cost": describe_cost(curves)}
+        return {"greedy": greedy, "model": model, **describe_cost(curves)}
 
     def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
         """``fig8.png``, ``solved.png``, ``behaviour.png``, ``film_ARM.gif``."""

@@ -6,7 +6,7 @@ import math
 
 from jaxdyna.experiments.maze_train_options import Options
 from jaxdyna.experiments.report import Results, interval, markdown_table
-from jaxdyna.experiments.train_cost import cost_table
+from jaxdyna.experiments.train_cost import cost_said
 
 PAPER_N = 100
 CONTROLS = (
@@ -167,16 +167,8 @@ def time(results: Results) -> Table:
 
 def cost(results: Results) -> list[str]:
     """Where the time goes, and the most memory that was taken: paragraphs."""
-    rate = max(
-        (arm["cost"]["matrix_product_gflops"] for arm in results["arms"].values()), default=0
-    )
     peak = results["device"]["peak_memory_gib"]
-    paragraphs = [
-        "What a real episode takes once there are dreams, one run alone on the machine; the floor "
-        "is the floating-point operations over the rate of a large matrix product "
-        f"({rate:.0f} GFLOP/s here).",
-        markdown_table(*cost_table(results)),
-    ]
+    paragraphs = cost_said(results)
     if peak is not None:
         paragraphs.append(
             f"The process took {peak:.1f} GiB of memory at the most, for "

@@ -113,7 +113,7 @@ class PongReport:
         return judged | {
             "real_steps": steps,
             "by_tens": by_tens(curves["real_return"]),
-            **({"cost": describe_cost(curves)} if "cost_seconds" in curves else {}),
+            **describe_cost(curves),
         }
 
     def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:

@@ -103,15 +103,19 @@ def _works(arm: Arm, updates: tuple[int, int], state: DynaState, key: jax.Array)
 
 
 def describe_cost(curves: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """`cost_of_parts` as entries of ``results.json``, per real episode of one run: ``seconds`` and
-    ``floor_seconds`` (operations over the rate of a matrix product) by part.
+    """`cost_of_parts` as the entry ``cost`` of ``results.json``, per real episode of one run:
+    ``seconds`` and ``floor_seconds`` (operations over the rate of a matrix product) by part.
+    Nothing where nothing was measured.
     """
+    if "cost_seconds" not in curves:
+        return {}
     floors = curves["cost_operations"] / curves["cost_rate"]
-    return {
+    cost = {
         "seconds": dict(zip(PARTS, curves["cost_seconds"].tolist(), strict=True)),
         "floor_seconds": dict(zip(PARTS, floors.tolist(), strict=True)),
         "matrix_product_gflops": float(curves["cost_rate"]) / 1e9,
     }
+    return {"cost": cost}
 
 
 def cost_table(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -129,11 +133,14 @@ def cost_table(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 def cost_said(results: Mapping[str, Any]) -> list[str]:
     """`cost_table` and what it is, for a report; nothing where nothing was measured."""
-    if not all("cost" in arm for arm in results["arms"].values()):
+    arms = results["arms"].values()
+    if not all("cost" in arm for arm in arms):
         return []
+    rate = max((arm["cost"]["matrix_product_gflops"] for arm in arms), default=0)
     return [
-        "What a real episode of one run takes once there are dreams; the floor is the "
-        "floating-point operations over the rate of a large matrix product.",
+        "What a real episode takes once there are dreams, one run alone on the machine; the floor "
+        "is the floating-point operations over the rate of a large matrix product "
+        f"({rate:.0f} GFLOP/s here).",
         report.markdown_table(*cost_table(results)),
     ]
 
