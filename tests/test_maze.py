@@ -64,7 +64,8 @@ def test_many_random_states_agree():
     actions = generator.integers(0, 5, count)
     keys = jax.random.split(jax.random.key(0), count)
     step = jax.jit(jax.vmap(ENV.step, (0, 0, 0, None)))
-    obs, _, reward, _, truncated, info = step(keys, state, actions, PARAMS)
+    answer = jax.tree.map(np.asarray, step(keys, state, actions, PARAMS))
+    obs, _, reward, _, truncated, info = answer
     for number in range(count):
         other = plain(jax.tree.map(lambda leaf, at=number: leaf[at], state))
         expected, _ = other.step(actions[number])
