@@ -28,7 +28,7 @@ COLOURS = {
     "true_ball": "#2e7dbd",
     "true_own": "#7f8c1f",
     "true_opponent": "#888888",
-    "true_frames": "#3b7a57",
+    "true_frames": "#d4a017",
 }
 PLANNERS = ("mpc", "mcts", "mpc_init", "mpc_init_dyna", "mpc_clone")
 BEGINS = dict.fromkeys(PLANNERS, "planner begins")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -47,12 +47,20 @@ def equal_episodes(results: Results, baselines: Sequence[str] = BASELINES) -> li
     ]
 
 
+def mended(arms: Iterable[str]) -> list[str]:
+    """Of these the blurred arm, and those in whose dreams the truth mends something; empty where
+    there is nothing to compare.
+    """
+    names = set(arms)
+    true = sorted(name for name in names if name.startswith("true_"))
+    return [BLURRED, *true] if true and BLURRED in names else []
+
+
 def cause_said(results: Results) -> list[str]:
     """What each object of the blurred dreams costs; empty without arms that mend one."""
-    mended = [name for name in results["arms"] if name.startswith("true_")]
-    if not mended or BLURRED not in results["arms"]:
+    both = {name: results["arms"][name] for name in mended(results["arms"])}
+    if not both:
         return []
-    both = {name: results["arms"][name] for name in (BLURRED, *mended)}
     return [
         "## Which object's error does it",
         f"`true_...` is `{BLURRED}` whose dreams show one object, or all of them (`true_frames`), "
@@ -60,6 +68,7 @@ def cause_said(results: Results) -> list[str]:
         "frames; rewards are the model's.",
         *comparison({"arms": both}, {}, BLURRED),
         *equal_episodes({"arms": both}, (BLURRED,)),
+        "![point difference against real episodes, by what is true in the dreams](cause.png)",
     ]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxdyna.experiments import plots, plots_frames, ratios, report
-from jaxdyna.experiments.pong_equal import by_tens, cause_said, equal_episodes
+from jaxdyna.experiments.pong_equal import by_tens, cause_said, equal_episodes, mended
 from jaxdyna.experiments.pong_games import games_said, scores
 from jaxdyna.experiments.pong_method import method
 from jaxdyna.experiments.pong_train_options import LEVEL, WINDOW, Options
@@ -117,25 +117,30 @@ class PongReport:
         }
 
     def figures(self, out: Path, curves: Mapping[str, Curves], results: Results) -> None:
-        """``returns.png``, ``solved.png``, ``points.png``, ``film.gif``."""
+        """``returns.png``, ``solved.png``, ``points.png``, ``film.gif``; ``cause.png`` where dreams
+        are mended by the truth.
+        """
         rule, options = self.options.rule, self.options
         solved_at = {name: episodes_to_solve(rule.score(arm), rule) for name, arm in curves.items()}
         shown = [name for name in curves if name in MAIN_ARMS] or list(curves)[:4]
-        plots.learning_curves(
-            out / "returns.png",
-            {name: curves[name]["real_return"] for name in shown},
-            LEVEL,
-            solved_at,
-            options.real_first,
-            what="point difference",
-            window=SMOOTHED,
-        )
+        for path, names in {"returns.png": shown, "cause.png": mended(curves)}.items():
+            returns = {name: curves[name]["real_return"] for name in names}
+            if returns:
+                plots.learning_curves(
+                    out / path,
+                    returns,
+                    LEVEL,
+                    solved_at,
+                    options.real_first,
+                    what="point difference",
+                    window=SMOOTHED,
+                )
         begins = {name: at - WINDOW + 1 for name, at in solved_at.items()}
         known = {
             name: max(arm["real_return"].shape[1] - WINDOW + 1, 1) for name, arm in curves.items()
         }
         plots.solved_share(out / "solved.png", begins, known)
-        said = {title: {name: arm[key] for name, arm in curves.items() if key in arm}
+        said = {title: {name: curves[name][key] for name in shown if key in curves[name]}
                 for key, title in MEASURES.items()}  # fmt: skip
         plots.behaviour(
             out / "points.png", {title: arms for title, arms in said.items() if arms}, SMOOTHED
