@@ -6,14 +6,14 @@ from dataclasses import fields
 
 from jaxdyna.envs import PongParams
 from jaxdyna.experiments.pong_train_options import Options
-from jaxdyna.experiments.pong_train_parts import NEED_STATE, world_of
+from jaxdyna.experiments.pong_train_parts import MENDED, NEED_STATE, world_of
 
 SEEN_SAID = {
     "objects": "the field, each object in a channel of its own",
     "rgb": "the field in the game's colours",
     "grey": "the whole screen in grey",
 }
-FROM_FIG4 = {"dyna_l2", "dyna_adversarial", "true_ball", "true_own", "true_opponent", "true_frames"}
+FROM_FIG4 = {"dyna_l2", "dyna_adversarial", *MENDED}
 FROM_OURS = {"dyna", "placebo"}
 
 

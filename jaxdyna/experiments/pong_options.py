@@ -182,9 +182,10 @@ def check_game(options: Any) -> None:
         raise ValueError(f"--game ale: {error}") from None
 
 
-def params_of(options: Any) -> PongParams:
-    """Its params: episodes of so many steps, however many points."""
-    return PongParams(
+def params_of(options: Any, given: PongParams | None = None) -> PongParams:
+    """Its params: episodes of so many steps, however many points; the rest as given."""
+    return replace(
+        given or PongParams(),
         points_to_win=ENDLESS,
         max_steps=options.steps,
         first_serve_delay=options.serve_delay,

@@ -9,13 +9,14 @@ from typing import Any
 from jaxdyna.agents import DQNConfig, dqn
 from jaxdyna.dyna import DynaConfig
 from jaxdyna.envs import AtariParams, AtariPong, GreyFrames, Pong, PongParams
-from jaxdyna.experiments.pong_options import ENDLESS, PALETTES, config_of, game_of
+from jaxdyna.experiments.pong_options import PALETTES, config_of, game_of, params_of
 from jaxdyna.experiments.pong_options import PAPER as PREDICTION
 from jaxdyna.experiments.pong_options import Options as Frames
 from jaxdyna.models import PixelConfig, RectangleConfig
 from jaxdyna.networks import ConvolutionalQ, GlimpseQ, PlaceQ, SignedReward
 
-NEED_STATE = ("oracle", "true_ball", "true_own", "true_opponent", "true_frames")
+MENDED = ("true_ball", "true_own", "true_opponent", "true_frames")
+NEED_STATE = ("oracle", *MENDED)
 NEED_OBJECTS = ("dyna", "placebo")
 DECIDED = ("points_to_win", "max_steps", "first_serve_delay", "serve_delay")
 
@@ -122,13 +123,7 @@ def env_params(options: Any) -> PongParams | AtariParams:
     """The game's: episodes of so many steps, however many points; the rest as set."""
     if options.game == "ale":
         return AtariParams(options.steps)
-    return replace(
-        options.hparams.env,
-        points_to_win=ENDLESS,
-        max_steps=options.steps,
-        first_serve_delay=options.serve_delay,
-        serve_delay=options.serve_delay,
-    )
+    return params_of(options, options.hparams.env)
 
 
 def check_env(options: Any) -> None:
