@@ -1,18 +1,18 @@
 """Every test runs with JAX's key-reuse checker on, and on two devices, whatever the machine has.
-Tests compile more than they compute, so XLA optimises as little as it can, and what a test process
-has compiled is kept for its next tests (a run that is resumed is the same program).
+Tests compile more than they compute, so XLA optimises as little as it can, and what one test
+process has compiled is kept for all of them (a run that is resumed is the same program).
 """
 
 import os
 from tempfile import TemporaryDirectory
 
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # processes that this one starts find it set
+    PROGRAMS = TemporaryDirectory(prefix="jaxdyna-tests-", ignore_cleanup_errors=True)
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = PROGRAMS.name
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 
 import jax
 
-PROGRAMS = TemporaryDirectory(prefix="jaxdyna-tests-", ignore_cleanup_errors=True)
-
 jax.config.update("jax_debug_key_reuse", True)
 jax.config.update("jax_num_cpu_devices", 2)
-jax.config.update("jax_compilation_cache_dir", PROGRAMS.name)
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiny
 from parts import assert_same
 
 from jaxdyna.dyna import make_train
@@ -29,14 +30,9 @@ from jaxdyna.experiments.checkpoint import Checkpoints
 from jaxdyna.experiments.run import piece_length
 from jaxdyna.experiments.storage import read_curves
 
-TINY = [
-    "--seeds", "2", "--episodes", "24", "--real-first", "4", "--model.hidden", "16",
-    "--model-updates", "2", "--dream-episodes", "2",
-]  # fmt: skip
-
 
 def play(out, *more):
-    return cartpole.main([*TINY, "--out", str(out), *more])
+    return cartpole.main([*tiny.CARTPOLE, "--out", str(out), *more])
 
 
 @pytest.fixture(scope="module")
@@ -245,7 +241,8 @@ def test_resume_with_further_arms_says_so(tmp_path):
 
 
 def test_double_precision(tmp_path):
-    command = [sys.executable, "-m", "jaxdyna.experiments.cartpole", *TINY, "--out", str(tmp_path)]
+    command = [sys.executable, "-m", "jaxdyna.experiments.cartpole", *tiny.CARTPOLE]
+    command += ["--out", str(tmp_path)]
     environment = os.environ | {"JAX_ENABLE_X64": "1"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -261,23 +258,18 @@ def test_readings_check_their_settings(arguments, capsys):
 
 
 def test_readings_report(tmp_path):
-    arguments = ["--seeds", "2", "--episodes", "101", "--out", str(tmp_path), "--arms"]
-    names = ["model-free, learning rate 0.01", "true environment as the model"]
-    assert cartpole_readings.READINGS.main([*arguments, *names]) == 0
+    assert cartpole_readings.READINGS.main([*tiny.READINGS, "--out", str(tmp_path)]) == 0
     text = (tmp_path / "report.md").read_text()
-    assert all(f"| {name} |" in text for name in names) and (tmp_path / "variants.png").exists()
+    assert all(f"| {name} |" in text for name in tiny.READINGS[-2:])
+    assert (tmp_path / "variants.png").exists()
 
 
-def test_accuracy_report(tmp_path, monkeypatch):
-    small = replace(cartpole_accuracy.PAPER, real_first=4, model_updates=60, dream_episodes=2)
-    monkeypatch.setattr(cartpole_accuracy, "PAPER", small)
-    names = ["dyna (paper preset)", "hidden layers of 4", "2 model updates an episode"]
-    arguments = ["--seeds", "2", "--episodes", "12", "--out", str(tmp_path), "--arms", *names]
-    assert replace(cartpole_accuracy.ACCURACY, real_first=4).main(arguments) == 0
+def test_accuracy_report(tmp_path):
+    assert cartpole_accuracy.ACCURACY.main([*tiny.ACCURACY, "--out", str(tmp_path)]) == 0
     text = (tmp_path / "report.md").read_text()
     assert "Rank correlation" in text and (tmp_path / "accuracy.png").exists()
     arms = json.loads((tmp_path / "results.json").read_text())["arms"]
-    errors = {name: np.mean(arms[name]["model_error"]) for name in names}
+    errors = {name: np.mean(arm["model_error"]) for name, arm in arms.items()}
     assert 0 < errors["dyna (paper preset)"] < errors["hidden layers of 4"]
 
 

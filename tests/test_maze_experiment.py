@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiny
 from parts import assert_same
 
 from jaxdyna import frame_replay
@@ -26,16 +27,9 @@ from jaxdyna.experiments.storage import read_curves
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Prediction
 
-TINY = [
-    "--part", "model", "--quick", "--seeds", "2", "--episodes", "6", "--stages", "2", "6",
-    "--ablation-stage", "6",
-    "--steps", "30", "--horizon", "10", "--held-out", "2", "--paper.updates", "3",
-    "--lean.updates", "3", "--widths", "4", "4", "4", "--dense", "16", "--lean-widths", "4", "4",
-]  # fmt: skip
-
 
 def play(out, *more):
-    return maze.main([*TINY, "--out", str(out), *more])
+    return maze.main([*tiny.MAZE_MODEL, "--out", str(out), *more])
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+import tiny
 from parts import assert_same
 
 from jaxdyna.dyna import make_train
@@ -22,12 +23,7 @@ from jaxdyna.planners import solve_maze
 from jaxdyna.rollout import first_states, rollout
 from jaxdyna.statistics import SolveRule, episodes_to_solve
 
-TINY = [
-    "--quick", "--seeds", "2", "--episodes", "52", "--size", "4", "--steps", "8",
-    "--real-first", "30", "--model-updates", "1", "--model-batch", "4", "--model-widths", "4",
-    "--dream-episodes", "2", "--dream-steps", "3", "--agent.updates", "1",
-    "--agent.fake-updates", "1", "--agent.batch", "4", "--arms", "model_free", "dyna",
-]  # fmt: skip
+TINY = [*tiny.MAZE, "--arms", "model_free", "dyna"]
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiny
 from parts import assert_same
 
 from jaxdyna.dyna import make_init, make_train
@@ -61,10 +62,7 @@ def test_everybody_decides_by_what_each_run_has_learned():
     assert (returns[0] != other[0]).any() and (returns[1] != other[1]).any()
 
 
-TINY = ["--quick", "--seeds", "2", "--episodes", "6", "--grounds", "cartpole",
-        "--sizes.runs", "2", "1", "--sizes.cartpole-episodes", "4", "--sizes.played", "1", "1",
-        "--sizes.candidates", "4", "--contenders", "policy", "MPC (learned world)",
-        "--arms", "dyna", "mpc_init"]  # fmt: skip
+FEW = ["--contenders", "policy", "MPC (learned world)", "--arms", "dyna", "mpc_init"]
 
 
 def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_path, monkeypatch):
@@ -74,7 +72,7 @@ def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_
     def measured_again(*_):
         raise AssertionError
 
-    arguments = [*TINY, "--out", str(tmp_path)]
+    arguments = [*tiny.PLANNING, *FEW, "--out", str(tmp_path)]
     with monkeypatch.context() as patch:
         patch.setattr(planning.Session, "_play", interrupted)
         assert planning.main(arguments) == 130

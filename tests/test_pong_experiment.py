@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiny
 
 from jaxdyna import frame_replay
 from jaxdyna.envs import CHANNELS, FrameStack, Palette, Pong, PongParams
@@ -313,16 +314,8 @@ def test_arms_differ_by_what_their_names_say():
     assert game.max_steps == TRAIN.steps
 
 
-TINY_TRAIN = [
-    "--quick", "--seeds", "1", "--episodes", "21", "--steps", "12", "--real-first", "20",
-    "--model-updates", "1", "--model-batch", "2", "--dream-episodes", "2", "--dream-steps", "2",
-    "--hidden", "4", "--agent.updates", "1", "--agent.fake-updates", "1", "--agent.batch", "2",
-    "--agent.fake-capacity", "16", "--widths", "2", "2", "2", "--dense", "8", "--arms", "true_own",
-]  # fmt: skip
-
-
 def test_learning_leaves_what_the_contract_asks_for(tmp_path):
-    assert pong.main([*TINY_TRAIN, "--out", str(tmp_path)]) == 0
+    assert pong.main([*tiny.PONG, "--arms", "true_own", "--out", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "results.json").read_text())
     assert results["experiment"] == "pong" and set(results["arms"]) == {"true_own"}
     for arm in results["arms"].values():
@@ -334,16 +327,9 @@ def test_learning_leaves_what_the_contract_asks_for(tmp_path):
         assert f"({name})" in report and (tmp_path / name).exists()
 
 
-TINY_MODEL = [
-    "--part", "model", "--quick", "--seeds", "1", "--episodes", "2", "--steps", "14", "--horizon",
-    "3", "--held-out", "2", "--dreams", "2", "--hidden", "4", "--ours.updates", "2",
-    "--ours.batch", "2", "--arms", "ours",
-]  # fmt: skip
-
-
 @pytest.mark.slow
 def test_frame_prediction_leaves_tables_and_figures(tmp_path):
-    assert pong.main([*TINY_MODEL, "--out", str(tmp_path)]) == 0
+    assert pong.main([*tiny.PONG_MODEL, "--arms", "ours", "--out", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "results.json").read_text())
     assert results["experiment"] == "pong_model" and set(results["arms"]["ours"]) == {
         "random", "mixed"

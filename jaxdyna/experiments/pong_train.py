@@ -25,6 +25,7 @@ from jaxdyna.experiments.pong_judge import OBJECTS
 from jaxdyna.experiments.pong_options import adversary_config
 from jaxdyna.experiments.pong_train_options import PRESETS, QUICK, Options
 from jaxdyna.experiments.pong_train_parts import (
+    TRUE_OBJECTS,
     agent_config,
     busier,
     dyna_config,
@@ -48,12 +49,6 @@ from jaxdyna.models import (
 from jaxdyna.types import Transition
 
 PROG = "python -m jaxdyna.experiments.pong"
-TRUE_OBJECTS = {
-    "true_ball": ("ball",),
-    "true_own": ("own paddle",),
-    "true_opponent": ("opponent",),
-    "true_frames": tuple(OBJECTS),
-}
 
 
 class Parts(NamedTuple):

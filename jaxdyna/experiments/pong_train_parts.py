@@ -9,13 +9,20 @@ from typing import Any
 from jaxdyna.agents import DQNConfig, dqn
 from jaxdyna.dyna import DynaConfig
 from jaxdyna.envs import AtariParams, AtariPong, GreyFrames, Pong, PongParams
+from jaxdyna.experiments.pong_judge import OBJECTS
 from jaxdyna.experiments.pong_options import PALETTES, config_of, game_of, params_of
 from jaxdyna.experiments.pong_options import PAPER as PREDICTION
 from jaxdyna.experiments.pong_options import Options as Frames
 from jaxdyna.models import PixelConfig, RectangleConfig
 from jaxdyna.networks import ConvolutionalQ, GlimpseQ, PlaceQ, SignedReward
 
-MENDED = ("true_ball", "true_own", "true_opponent", "true_frames")
+TRUE_OBJECTS = {
+    "true_ball": ("ball",),
+    "true_own": ("own paddle",),
+    "true_opponent": ("opponent",),
+    "true_frames": tuple(OBJECTS),
+}
+MENDED = tuple(TRUE_OBJECTS)
 NEED_STATE = ("oracle", *MENDED)
 NEED_OBJECTS = ("dyna", "placebo")
 DECIDED = ("points_to_win", "max_steps", "first_serve_delay", "serve_delay")
