@@ -171,6 +171,7 @@ class Session:
                     done.metrics | self.report.analyse(arm, done, key), self.slim_above
                 )
                 self._timing[name] = {"compile_s": done.compile_s, "run_s": done.run_s}
+                del done  # its replays, before the next arm's are made
                 self._write(curves, figures=False)
                 bars.add_note(name)
 
