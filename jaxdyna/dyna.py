@@ -31,6 +31,7 @@ __all__ = [
     "Metrics",
     "make_advance",
     "make_init",
+    "make_step",
     "make_train",
     "play_dreams",
     "play_real",
@@ -72,6 +73,18 @@ def make_advance(
     of the first phase cost nothing. ``axes`` names the axes that runs are vmapped along
     (`jaxdyna.sweep.AXES`): then work that none of them needs costs nothing either.
     """
+    step = make_step(dyna, config, axes)
+
+    def advance(state: DynaState, episodes: jax.Array, hparams: DynaHParams):
+        return jax.lax.scan(lambda state, episode: step(state, episode, hparams), state, episodes)
+
+    return advance
+
+
+def make_step(
+    dyna: Dyna, config: DynaConfig, axes: tuple[str, ...] = ()
+) -> Callable[[DynaState, jax.Array, DynaHParams], tuple[DynaState, Metrics]]:
+    """``step(state, episode, hparams) -> (state, metrics)``: one real episode of `make_advance`."""
 
     def step(state: DynaState, episode: jax.Array, hparams: DynaHParams):
         key, key_real, key_agent, key_model, key_dream = jax.random.split(state.key, 5)
@@ -99,10 +112,7 @@ def make_advance(
             metrics |= dreamed
         return state, metrics
 
-    def advance(state: DynaState, episodes: jax.Array, hparams: DynaHParams):
-        return jax.lax.scan(lambda state, episode: step(state, episode, hparams), state, episodes)
-
-    return advance
+    return step
 
 
 def make_train(

@@ -3,96 +3,129 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import optax
 from flax import struct
+
+from jaxdyna.fields import SettingError, check, setting
+
+Optimizer = Callable[[Any], optax.GradientTransformation]
+
+
+def optimizer_setting(default: Optimizer, **more: Optimizer) -> Any:
+    """The setting of an optimiser; ``more`` of them can be chosen by name than optax's."""
+    named = {made.__name__: made for made in (optax.sgd, optax.adam, optax.adamw, optax.rmsprop)}
+    help = "Optimiser: from a learning rate to an optax transformation."
+    return setting(default, help, choices=named | more)
 
 
 @dataclass(frozen=True)
 class DynaConfig:
-    """Counts and sizes: whatever decides the program.
+    """Counts and sizes: whatever decides the program."""
 
-    Attributes:
-        num_episodes: real episodes in all.
-        num_real_first: N of §3.1.2: the first dream follows the N-th real episode (0 is as 1).
-        num_steps: the longest episode in steps.
-        model_updates: gradient steps of the model after each real episode.
-        model_batch: transitions a gradient step.
-        dream_updates: policy updates on dreams after each real episode.
-        dream_episodes: fake episodes in each of those updates.
-        dream_steps: the longest fake episode in steps; None for ``num_steps``.
-        replay_capacity: transitions kept; None keeps all.
-        forget_every: real episodes after which the replay is emptied, as the authors' code does;
-            0 never.
-        rare_share: at least this share of each model batch comes from rare transitions, those that
-            ended an episode or what else `jaxdyna.dyna.Dyna.memory` takes for rare; None draws all
-            alike.
-        rest_when_safe: for tasks whose end is a failure. Neither train the model nor dream after
-            a real episode that was truncated instead of terminated, and stop dreaming after a
-            batch of fake episodes of which none terminated: what works is left alone, and costs
-            nothing.
-    """
-
-    num_episodes: int = 1000
-    num_real_first: int = 100
-    num_steps: int = 200
-    model_updates: int = 10
-    model_batch: int = 64
-    dream_updates: int = 1
-    dream_episodes: int = 2
-    dream_steps: int | None = None
-    replay_capacity: int | None = None
-    forget_every: int = 0
-    rare_share: float | None = None
-    rest_when_safe: bool = False
+    num_episodes: int = setting(1000, "Real episodes in all.", at_least=1)
+    num_real_first: int = setting(
+        100,
+        "N of the paper (§3.1.2): the first dream follows the N-th real episode (0 is as 1).",
+        at_least=0,
+        everyday=True,
+    )
+    num_steps: int = setting(200, "The longest real episode, in steps.", at_least=1)
+    model_updates: int = setting(
+        10, "Gradient steps of the model after each real episode.", at_least=0, everyday=True
+    )
+    model_batch: int = setting(
+        64, "Transitions in a gradient step of the model.", at_least=1, everyday=True
+    )
+    dream_updates: int = setting(
+        1, "Policy updates on dreams after each real episode.", at_least=0, everyday=True
+    )
+    dream_episodes: int = setting(
+        2, "Fake episodes in each of those updates.", at_least=1, everyday=True
+    )
+    dream_steps: int | None = setting(
+        None,
+        "The longest fake episode, in steps; None for as long as a real one.",
+        at_least=1,
+        everyday=True,
+    )
+    replay_capacity: int | None = setting(
+        None, "Newest real transitions that are kept, at least one episode; None keeps all."
+    )
+    forget_every: int = setting(
+        0,
+        "Real episodes after which the replay is emptied, as the authors' code does; 0 never.",
+        at_least=0,
+    )
+    rare_share: float | None = setting(
+        None,
+        "At least this share of each model batch comes from rare transitions, those that ended an "
+        "episode or what else jaxdyna.dyna.Dyna.memory takes for rare; None draws all alike.",
+        at_least=0,
+        at_most=1,
+    )
+    rest_when_safe: bool = setting(
+        False,
+        "For tasks whose end is a failure. Neither train the model nor dream after a real episode "
+        "that was truncated instead of terminated, and stop dreaming after a batch of fake "
+        "episodes of which none terminated: what works is left alone, and costs nothing.",
+    )
 
     def __post_init__(self) -> None:
-        for name in ("num_episodes", "num_steps", "model_batch", "dream_episodes", "dream_steps"):
-            if getattr(self, name) is not None and getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be at least 1")
-        for name in ("num_real_first", "model_updates", "dream_updates", "forget_every"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must not be negative")
+        check(self)
         if self.num_real_first > self.num_episodes:
-            raise ValueError(
-                f"num_real_first (N) is {self.num_real_first} but there are only "
-                f"{self.num_episodes} episodes: lower N or raise the number of episodes"
-            )
-        if self.rare_share is not None and not 0 <= self.rare_share <= 1:
-            raise ValueError(
-                f"rare_share is {self.rare_share}: it must lie between 0 and 1, or be None"
+            raise SettingError(
+                "num_real_first",
+                f"(N) is {self.num_real_first} but there are only {self.num_episodes} episodes: "
+                "lower N or raise the number of episodes",
             )
         if self.replay_capacity is not None and self.replay_capacity < self.num_steps:
-            raise ValueError(
-                f"replay_capacity is {self.replay_capacity}: it must hold at least one episode "
-                f"of {self.num_steps} steps"
+            raise SettingError(
+                "replay_capacity",
+                f"is {self.replay_capacity}: it must hold at least one episode of "
+                f"{self.num_steps} steps",
             )
 
 
 @struct.dataclass
 class DynaHParams:
-    """Everything that can be swept without compiling again.
+    """Everything that can be swept without compiling again."""
 
-    Attributes:
-        agent: the agent's.
-        model: the model's.
-        env: the real environment's params.
-        real_weight: weight of real transitions in the policy's update once dreams have begun.
-        model_trains: False computes the model's updates and discards them (the placebo).
-        fake_weight: weight of fake transitions in the policy's update; 0 is the model-free arm.
-        num_real_first: masks out dreams before this many real episodes, where that is more than
-            `DynaConfig.num_real_first` (which also saves their computation).
-        termination_threshold: see `jaxdyna.models.LearnedParams`.
-        disagreement_threshold: likewise.
-    """
-
-    agent: Any
-    model: Any
-    env: Any
-    model_trains: bool = True
-    real_weight: float = 1.0
-    fake_weight: float = 1.0
-    num_real_first: int = 0
-    termination_threshold: float = 0.5
-    disagreement_threshold: float = math.inf
+    agent: Any = setting(help="The agent's.")
+    model: Any = setting(help="The model's.")
+    env: Any = setting(help="The real environment's params.")
+    model_trains: bool = setting(
+        True, "False computes the model's updates and discards them (the placebo)."
+    )
+    real_weight: float = setting(
+        1.0,
+        "Weight of real transitions in the policy's update once dreams have begun.",
+        at_least=0,
+    )
+    fake_weight: float = setting(
+        1.0,
+        "Weight of fake transitions in the policy's update; 0 is the model-free arm.",
+        at_least=0,
+    )
+    num_real_first: int = setting(
+        0,
+        "Masks out dreams before this many real episodes, where that is more than the "
+        "configuration's (which also saves their computation).",
+        at_least=0,
+    )
+    termination_threshold: float = setting(
+        0.5,
+        "Probability of the end above which a fake episode terminates.",
+        at_least=0,
+        at_most=1,
+    )
+    disagreement_threshold: float = setting(
+        math.inf,
+        "How far the model may mistrust itself before a fake episode ends, in the units of "
+        "jaxdyna.types.Prediction.disagreement.",
+        at_least=0,
+        infinite=True,
+    )

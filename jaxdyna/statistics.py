@@ -1,7 +1,7 @@
 """Honest statistics: when a run solved, and what many runs say together. Plain NumPy, on the host.
 
 An unsolved run counts as infinity: it is never dropped. A mean with an unsolved run in it is
-therefore undefined (None), while a median or an interquartile mean may still be known.
+therefore undefined (None), while a median may still be known.
 """
 
 from __future__ import annotations
@@ -11,24 +11,31 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import binom
+
+from jaxdyna.fields import check, setting
 
 Summary = dict[str, Any]
+FEW = 5
+"""Runs of which there is no honest interval: their points are all that can be said."""
 
 
 @dataclass(frozen=True)
 class SolveRule:
     """Solved when the mean return of ``window`` successive real training episodes reaches
     ``threshold``, or ``threshold`` times the mean of what ``share_of`` says.
-
-    Attributes:
-        window: episodes.
-        threshold: a return, or a share.
-        share_of: the name of a curve, such as the return that was to be had in each episode.
     """
 
-    window: int
-    threshold: float
-    share_of: str | None = None
+    window: int = setting(help="Successive real training episodes.", at_least=1)
+    threshold: float = setting(help="A return, or a share.")
+    share_of: str | None = setting(
+        None,
+        "Name of a curve, such as the return that was to be had in each episode; None for a "
+        "threshold that is a return.",
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
 
     @property
     def level(self) -> float:
@@ -97,36 +104,44 @@ def summarise(
     Args:
         per_seed: ``[seeds]``; infinity where unsolved.
         solved: bool ``[seeds]``, by default where ``per_seed`` is finite.
-        at_least: lower bound of an unsolved seed's value, a scalar or ``[seeds]``.
+        at_least: lower bound of an unsolved seed's value, such as the budget, a scalar or
+            ``[seeds]``.
 
     Returns:
-        ``per_seed, mean, median, iqm`` (interquartile mean, Agarwal et al. 2021), ``ci95``
-        (bootstrap interval of the mean), ``iqm_ci95``, ``solved`` and ``seeds`` (counts), and with
-        ``at_least`` also ``mean_at_least``, the mean with unsolved seeds at that bound.
+        ``per_seed, mean, median``; ``ci95`` (bootstrap interval of the mean), None for five seeds or
+        fewer, and for seeds that are all alike; ``median_ci95`` (exact, by ranks); ``solved`` and
+        ``seeds`` (counts); ``budget`` (the largest bound) and ``restricted_mean``, the mean with
+        unsolved seeds at their bound, both None without ``at_least``.
     """
     per_seed = np.asarray(per_seed, np.float64)
     solved = np.isfinite(per_seed) if solved is None else solved
-    bound = {}
+    budget = restricted = None
     if at_least is not None:
-        bounded = np.where(np.isfinite(per_seed), per_seed, at_least)
-        bound["mean_at_least"] = float(bounded.mean())
+        budget = float(np.max(at_least))
+        restricted = float(np.where(np.isfinite(per_seed), per_seed, at_least).mean())
+    several = len(per_seed) > FEW and np.unique(per_seed).size > 1
     return {
         "per_seed": [_plain(value) for value in per_seed],
         "mean": _plain(np.mean(per_seed)),
         "median": _plain(_median(per_seed)),
-        "iqm": _plain(interquartile_mean(per_seed)),
-        "ci95": bootstrap_interval(per_seed, _row_means),
-        "iqm_ci95": bootstrap_interval(per_seed, interquartile_mean),
+        "ci95": bootstrap_interval(per_seed, _row_means) if several else None,
+        "median_ci95": median_interval(per_seed),
         "solved": int(np.sum(solved)),
         "seeds": len(per_seed),
-    } | bound
+        "budget": budget,
+        "restricted_mean": restricted,
+    }
 
 
-def interquartile_mean(values: np.ndarray) -> np.ndarray:
-    """The mean of the middle half along the last axis; infinite where an unsolved run is in it."""
-    ordered = np.sort(values, axis=-1)
-    cut = ordered.shape[-1] // 4
-    return ordered[..., cut : ordered.shape[-1] - cut].mean(-1)
+def median_interval(values: np.ndarray) -> list[float | None] | None:
+    """The exact 95% interval of a median by ranks, such as the 2nd to the 9th of ten values; None for
+    five or fewer, which have none.
+    """
+    rank = int(binom.ppf(0.025, len(values), 0.5))
+    if rank < 1:
+        return None
+    ordered = np.sort(values)
+    return [_plain(ordered[rank - 1]), _plain(ordered[len(values) - rank])]
 
 
 def bootstrap_interval(

@@ -16,6 +16,9 @@ from jaxdyna.types import Key, PyTree
 AXES = ("settings", "seeds")
 """Names of the vmapped axes, for `jaxdyna.dyna.make_train` and `make_advance`."""
 
+RUNS = "runs"
+"""Name of the axis of `over_runs`."""
+
 DEVICES = "devices"
 _BY_SEED = PartitionSpec(None, DEVICES)
 _SHARED = PartitionSpec()
@@ -90,6 +93,17 @@ def make_pieces(
         return spread(state, episodes, hparams)
 
     return start, proceed
+
+
+def over_runs(function: Callable[..., PyTree], size: int) -> Callable[..., PyTree]:
+    """``function`` of one run, over the leading axis of all its arguments: ``size`` runs computed
+    together, along the axis `RUNS`.
+    """
+
+    def together(*arguments: Any) -> PyTree:
+        return _named_vmap(function, (0,) * len(arguments), size, RUNS)(*arguments)
+
+    return together
 
 
 def _over_devices(share: Callable[..., PyTree], seeds: int, specs: tuple) -> Callable[..., PyTree]:

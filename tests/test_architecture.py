@@ -8,8 +8,8 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "jaxdyna"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = {
-    **dict.fromkeys(["types", "settings", "conditional", "convolution"], 0),
-    **dict.fromkeys(["networks", "losses", "envs", "replay"], 1),
+    **dict.fromkeys(["fields", "types", "conditional", "convolution"], 0),
+    **dict.fromkeys(["settings", "networks", "losses", "envs", "replay"], 1),
     **dict.fromkeys(["rollout", "frame_replay"], 2),
     **dict.fromkeys(["memory", "windows"], 3),
     **dict.fromkeys(["agents", "models", "planners", "parts"], 4),

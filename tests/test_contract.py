@@ -10,7 +10,7 @@ from parts import ENV, assert_close, assert_same, random_act
 from jaxdyna import rollout
 from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
 from jaxdyna.agents.reinforce import over_batch, per_step, within_episode
-from jaxdyna.envs import CartPole, GreyFrames, Maze, Pong
+from jaxdyna.envs import CartPole, Catch, GreyFrames, Maze, Pong
 from jaxdyna.models import (
     LearnedEnvironment,
     LearnedParams,
@@ -45,6 +45,8 @@ def learned_world():
 WORLDS = {
     "cartpole": lambda: (CartPole(), CartPole().default_params),
     "maze": lambda: (Maze(), Maze().default_params),
+    "catch": lambda: (Catch(), Catch().default_params),
+    "catch_frames": lambda: (Catch(frames=True), Catch().default_params),
     "pong": lambda: (Pong(), Pong().default_params),
     "grey": lambda: (GreyFrames(Pong()), Pong().default_params),
     "learned": learned_world,

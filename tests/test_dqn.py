@@ -193,7 +193,17 @@ def test_target_network():
         np.testing.assert_allclose(target, 0.005 * new + 0.995 * old, atol=1e-6)
 
 
-@pytest.mark.parametrize("bad", [{"batch": 0}, {"n_step": 0}, {"updates": -1}, {"drift": -1.0}])
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"batch": 2.5},
+        {"batch": 999_999_999},
+        {"n_step": 0},
+        {"n_step": 9, "capacity": 8},
+        {"updates": -1},
+        {"drift": -1.0},
+    ],
+)
 def test_clear_errors(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
         DQNConfig(**bad)

@@ -144,7 +144,10 @@ def test_a_dreamed_world_knows_only_observed_starts(dyna_run):
     [
         ({"num_episodes": -3}, "num_episodes is -3"),
         ({"num_real_first": 7}, "lower N or raise"),
-        ({"model_updates": -1}, "must not be negative"),
+        ({"model_updates": -1}, "model_updates is -1: it must be at least 0"),
+        ({"num_episodes": 2.5}, "must be a whole number"),
+        ({"num_episodes": True}, "must be a whole number"),
+        ({"rare_share": 1.5}, "must be between 0 and 1, or None"),
         ({"replay_capacity": 3}, "at least one episode"),
     ],
 )

@@ -110,7 +110,8 @@ def test_clear_errors():
         ({"num_obstacles": 255}, "0..254"),
         ({"goal": (0, 16)}, "goal is"),
         ({"start": (-1, 0)}, "start is"),
-        ({"start": [3, 4]}, "give a tuple"),
+        ({"start": [3, 4]}, "must be a tuple"),
+        ({"size": 4.5}, "a whole number"),
     ):
         with pytest.raises(ValueError, match=words):
             Maze(**settings)

@@ -336,7 +336,7 @@ def test_what_is_revealed_reads_back_exactly():
     [
         (ShootingConfig, {"horizon": 0}, "horizon is 0"),
         (ShootingConfig, {"discount": 2.0}, "between 0 and 1"),
-        (ShootingConfig, {"temperature": -1.0}, "temperature is -1.0: it must be 0 or more"),
+        (ShootingConfig, {"temperature": -1.0}, "temperature is -1.0: it must be at least 0"),
         (CrossEntropyConfig, {"elites": 100}, "elites is 100"),
         (CrossEntropyConfig, {"iterations": 0}, "iterations is 0"),
         (CrossEntropyConfig, {"floor": 0.0}, "floor is 0"),

@@ -1,4 +1,4 @@
-"""Every experiment's command line at its smallest.
+"""Every experiment's command line at its smallest, as it was typed at 30aa21d (see `renamed`).
 
 Tests run some of them in their own process; run as a script this prints those that `.ci/run` starts
 as a user does. Where both run the same programs, the second finds them compiled.
@@ -50,6 +50,18 @@ PONG_MODEL = [
     "--paper.updates", "2", "--paper.batch", "2", "--ours.updates", "2", "--ours.batch", "2",
 ]  # fmt: skip
 ON_THE_ATARI = ["--game", "ale", "--frames", "rgb", "--policies", "mixed"]
+PLANNERS = [
+    "--mpc.candidates", "2", "--mpc.horizon", "2", "--mcts.simulations", "2",
+    "--mcts-rollout", "2", "--shown-episodes", "2", "--cloning.updates", "2",
+]  # fmt: skip
+DATA = [
+    "--seeds", "2", "--episodes", "8", "--transitions", "40", "--updates", "4",
+    "--judged-episodes", "2",
+]  # fmt: skip
+MAZE_LEVERS = [
+    "--seeds", "1", "--episodes", "30", "--size", "3", "--obstacles", "1", "--steps", "20"
+]  # fmt: skip
+FIG4 = ["--model", "paper", "--size", "11", "--steps", "21", "--episodes", "32"]
 
 SMOKE = {
     "cartpole-paper": ["cartpole", *CARTPOLE, "--arms", "model_free", "dyna"],
@@ -65,7 +77,71 @@ SMOKE = {
         "cartpole_levers", "--seeds", "2", "--episodes", "10",
         "--arms", "one network, no disagreement",
     ],
+    "data": ["cartpole_data", *DATA],
 }  # fmt: skip
+"""What `.ci/run` starts."""
+
+NET = SMOKE | {
+    "cartpole-controls": ["cartpole", *CARTPOLE, "--arms", "placebo", "oracle"],
+    "cartpole-lean-controls": [
+        "cartpole", "--preset", "lean", *CARTPOLE, "--arms", "placebo", "oracle",
+    ],
+    "cartpole-planners": [
+        "cartpole", *CARTPOLE, *PLANNERS,
+        "--arms", "mpc", "mcts", "mpc_init", "mpc_init_dyna", "mpc_clone",
+    ],
+    "cartpole-details": [
+        "cartpole", "--preset", "lean", *CARTPOLE, "--env-version", "v1", "--dream-start",
+        "branched", "--dream-steps", "20", "--dream-noise", "0.1", "--authors-bug",
+        "--forget-every", "7", "--terminal-share", "0.5", "--no-rest-when-safe", "--arms", "dyna",
+    ],
+    "maze-arms": ["maze", *MAZE, "--arms", "model_free", "dyna", "oracle", "more_updates"],
+    "maze-planners": [
+        "maze", *MAZE, *MAZE_PLANNED, "--mcts.simulations", "2", "--arms", "mpc", "mcts",
+    ],
+    "maze-lean": ["maze", "--preset", "lean", *MAZE, "--arms", "model_free", "dyna", "placebo"],
+    "maze-levers": ["maze_levers", *MAZE_LEVERS, "--arms", "model-free", "model: L2 loss"],
+    "maze-fig4": ["maze", *MAZE, *FIG4, "--model-loss", "l1", "--arms", "dyna"],
+    "maze-losses": [
+        "maze", *MAZE_MODEL, "--arms", "paper_l2", "paper_l1", "paper_reward", "lean_l2", "lean_l1",
+    ],
+    "pong-arms": [
+        "pong", *PONG, "--arms", "model_free", "more_updates", "dyna", "dyna_l2", "placebo",
+        "oracle",
+    ],
+    "pong-true": [
+        "pong", *PONG, "--arms", "true_ball", "true_own", "true_opponent", "true_frames",
+    ],
+    "pong-lean": [
+        "pong", "--preset", "lean", *PONG, "--seeds", "2", "--episodes", "40",
+        "--stop-after-solved", "0", "--arms", "dyna",
+    ],
+    "pong-rgb": ["pong", *PONG, "--frames", "rgb", "--look", "convolutions", "--arms", "dyna_l2"],
+    "pong-model-pure": ["pong", *PONG_MODEL, "--arms", "l2", "l1", "bce", "adversarial", "ours"],
+    "planning-arms": [
+        "planning", *PLANNING, "--contenders", "policy", "--sizes.runs", "1", "1",
+        "--episodes", "8", "--arms", "dyna", "mpc_init_dyna", "mpc_clone, 5 model updates",
+        "mcts", "dyna, 20 model updates", "model_free",
+    ],
+    "planning-maze": [
+        "planning", *PLANNING, "--grounds", "maze", "--sizes.maze-episodes", "16", "--sizes.board",
+        "3", "1", "5", "--sizes.far-candidates", "2", "--sizes.batch", "2", "--arms", "model_free",
+    ],
+}  # fmt: skip
+"""What `tests/tools/same_curves.py` plays with two trees."""
+
+LONG = {
+    "readings-all": ["cartpole_readings", "--seeds", "1", "--episodes", "101"],
+    "levers-all": ["cartpole_levers", "--seeds", "1", "--episodes", "12"],
+    "accuracy-all": ["cartpole_accuracy", "--seeds", "1", "--episodes", "101"],
+    "maze-levers-all": ["maze_levers", *MAZE_LEVERS],
+}
+"""Every row of every study; played where it is asked for by name."""
+
+BLOCKS = dict.fromkeys(
+    ("cartpole-paper", "cartpole-controls", "cartpole-planners", "accuracy", "readings", "data"), 2
+)
+"""Runs that were computed together, where that was more than one."""
 
 if __name__ == "__main__":
     for name, command in SMOKE.items():

@@ -17,7 +17,9 @@ import optax
 from flax import struct
 
 from jaxdyna import replay
+from jaxdyna.fields import check, setting
 from jaxdyna.replay import Replay
+from jaxdyna.settings import Optimizer, optimizer_setting
 from jaxdyna.types import Agent, Key, Transition
 
 Loss = Callable[[jax.Array, jax.Array], jax.Array]
@@ -39,34 +41,35 @@ def margin_loss(outputs: jax.Array, action: jax.Array, margin: float = 0.8) -> j
 
 @dataclass(frozen=True)
 class CloningConfig:
-    """What decides the program.
+    """What decides the program."""
 
-    Attributes:
-        updates: gradient steps after each shown episode, on all that was shown so far.
-        batch: transitions in each.
-        capacity: shown transitions kept.
-        learning_rate: of the optimiser, which starts anew after each shown episode.
-        loss: of one imitated action.
-        learns_too: whether the agent's own update sees the shown episodes as well, as a learner
-            that is off-policy can make use of them; imitation then starts from what it has learned,
-            otherwise from the imitation of the episode before.
-        optimizer: from a learning rate to an optax transformation.
-    """
-
-    updates: int = 200
-    batch: int = 64
-    capacity: int = 4000
-    learning_rate: float = 1e-2
-    loss: Loss = cross_entropy_loss
-    learns_too: bool = False
-    optimizer: Callable[[Any], optax.GradientTransformation] = optax.adam
+    updates: int = setting(
+        200,
+        "Gradient steps after each shown episode, on all that was shown so far.",
+        at_least=1,
+    )
+    batch: int = setting(64, "Shown transitions in each.", at_least=1, at_most=1_000_000)
+    capacity: int = setting(4000, "Shown transitions kept.", at_least=1)
+    learning_rate: float = setting(
+        1e-2,
+        "Learning rate of the optimiser, which starts anew after each shown episode.",
+        above=0,
+    )
+    loss: Loss = setting(
+        cross_entropy_loss,
+        "Loss of one imitated action.",
+        choices=(cross_entropy_loss, margin_loss),
+    )
+    learns_too: bool = setting(
+        False,
+        "Whether the agent's own update sees the shown episodes as well, as a learner that is "
+        "off-policy can make use of them; imitation then starts from what it has learned, "
+        "otherwise from the imitation of the episode before.",
+    )
+    optimizer: Optimizer = optimizer_setting(optax.adam)
 
     def __post_init__(self) -> None:
-        for name in ("updates", "batch", "capacity"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be at least 1")
-        if not self.learning_rate > 0:
-            raise ValueError(f"learning_rate is {self.learning_rate}: it must be above 0")
+        check(self)
 
 
 @struct.dataclass

@@ -11,8 +11,10 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
+from jaxdyna.fields import check, setting
 from jaxdyna.losses import discounted_returns, policy_gradient, standardise
 from jaxdyna.networks import MLP
+from jaxdyna.settings import Optimizer, optimizer_setting
 from jaxdyna.types import Agent, Key, Transition
 
 
@@ -41,35 +43,33 @@ def per_step(returns: jax.Array, valid: jax.Array) -> jax.Array:
 
 @struct.dataclass
 class ReinforceHParams:
-    """What can be swept.
+    """What can be swept."""
 
-    Attributes:
-        learning_rate: of the optimiser.
-        discount: of the returns.
-    """
-
-    learning_rate: float = 1e-2
-    discount: float = 0.99
+    learning_rate: float = setting(
+        1e-2, "Learning rate of the policy's optimiser.", at_least=0, everyday=True
+    )
+    discount: float = setting(
+        0.99, "Discount of the returns.", at_least=0, at_most=1, everyday=True
+    )
 
 
 @dataclass(frozen=True)
 class ReinforceConfig:
-    """What decides the program.
+    """What decides the program."""
 
-    Attributes:
-        hidden: widths of the hidden layers.
-        advantage: ``(returns [N, T], valid [N, T]) -> [N, T]``: what is done against the returns'
-            variance: `within_episode`, `over_batch` or `per_step`.
-        optimizer: from a learning rate to an optax transformation.
-    """
-
-    hidden: tuple[int, ...] = (8,)
-    advantage: Callable[[jax.Array, jax.Array], jax.Array] = within_episode
-    optimizer: Callable[[Any], optax.GradientTransformation] = optax.adam
+    hidden: tuple[int, ...] = setting(
+        (8,), "Widths of the policy's hidden layers.", at_least=1, everyday=True
+    )
+    advantage: Callable[[jax.Array, jax.Array], jax.Array] = setting(
+        within_episode,
+        "What is done against the returns' variance, (returns [N, T], valid [N, T]) -> [N, T]: "
+        "standardised within each episode, over the batch, or step by step.",
+        choices=(within_episode, over_batch, per_step),
+    )
+    optimizer: Optimizer = optimizer_setting(optax.adam)
 
     def __post_init__(self) -> None:
-        if min(self.hidden, default=1) < 1:
-            raise ValueError(f"hidden widths are {self.hidden}: each must be at least 1")
+        check(self)
 
 
 @struct.dataclass

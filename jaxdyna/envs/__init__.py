@@ -2,6 +2,7 @@
 
 from jaxdyna.envs.atari import AtariParams, AtariPong, AtariState
 from jaxdyna.envs.cartpole import CartPole, CartPoleParams, CartPoleState
+from jaxdyna.envs.catch import Catch, CatchParams, CatchState
 from jaxdyna.envs.grey import GreyFrames
 from jaxdyna.envs.gymnasium import HostEnv, HostVectorEnv, register
 from jaxdyna.envs.maze import Maze, MazeParams, MazeState
@@ -19,6 +20,9 @@ __all__ = [
     "CartPole",
     "CartPoleParams",
     "CartPoleState",
+    "Catch",
+    "CatchParams",
+    "CatchState",
     "FrameStack",
     "GreyFrames",
     "HostEnv",
@@ -40,3 +44,4 @@ register("jaxdyna/CartPole-v0", CartPole(), CartPoleParams(max_steps=200), rewar
 register("jaxdyna/CartPole-v1", CartPole(), CartPoleParams(max_steps=500), reward_threshold=475.0)
 register("jaxdyna/Maze-v0", Maze(), MazeParams())
 register("jaxdyna/Pong-v0", Pong(), PongParams())
+register("jaxdyna/Catch-v0", Catch(), CatchParams(), reward_threshold=0.9)

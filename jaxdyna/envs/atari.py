@@ -22,6 +22,7 @@ from flax import struct
 from jaxdyna.envs.gymnasium import atari_emulator, check_atari, spaces
 from jaxdyna.envs.pong_rules import FIELD, NUM_ACTIONS
 from jaxdyna.envs.pong_screen import CHANNELS, Palette, blank, masks_by_colour, paint
+from jaxdyna.fields import SettingError, check, setting
 from jaxdyna.types import Key
 
 EMULATOR_BYTES = 16_384
@@ -32,15 +33,15 @@ _here = threading.local()
 
 @struct.dataclass
 class AtariParams:
-    """What can be swept.
+    """What can be swept."""
 
-    Attributes:
-        max_steps: steps until an episode is truncated.
-        no_ops: an episode begins with 1 to so many frames of doing nothing (Mnih et al. 2015).
-    """
-
-    max_steps: int | jax.Array = 27_000
-    no_ops: int | jax.Array = 30
+    max_steps: int | jax.Array = setting(27_000, "Steps until truncation.", at_least=1)
+    no_ops: int | jax.Array = setting(
+        30,
+        "An episode begins with 1 to so many frames of doing nothing (Mnih et al. 2015); 0 counts "
+        "as 1.",
+        at_least=0,
+    )
 
 
 @struct.dataclass
@@ -57,26 +58,27 @@ class AtariPong:
     those of `jaxdyna.envs.Pong`, and frames look like its own in the same palette. It needs the
     ``atari`` extra.
 
-    Attributes:
-        frame_skip: frames a step, all with the same action.
-        scale: as in `jaxdyna.envs.Pong`; with 1 the frame is the whole screen in its own colours.
-        palette: the colours of a smaller frame; objects are told by their colours on the screen.
-
     Raises:
         ImportError: without the ``atari`` extra, with how to install it.
         ValueError: where a setting is impossible.
     """
 
-    frame_skip: int = 4
-    scale: int = 1
-    palette: Palette = CHANNELS
+    frame_skip: int = setting(4, "Frames a step, all with the same action.", at_least=1)
+    scale: int = setting(
+        1,
+        "As in jaxdyna.envs.Pong; with 1 the frame is the whole screen in its own colours.",
+        at_least=1,
+    )
+    palette: Palette = setting(
+        CHANNELS,
+        "The colours of a smaller frame; objects are told by their colours on the screen.",
+    )
 
     def __post_init__(self) -> None:
         check_atari()
-        if self.frame_skip < 1:
-            raise ValueError(f"frame_skip is {self.frame_skip}: a step has at least 1 frame")
-        if self.scale < 1 or FIELD % self.scale:
-            raise ValueError(f"scale is {self.scale}: it must be a divisor of {FIELD}")
+        check(self)
+        if FIELD % self.scale:
+            raise SettingError("scale", f"is {self.scale}: it must be a divisor of {FIELD}")
 
     @property
     def default_params(self) -> AtariParams:

@@ -12,36 +12,34 @@ import numpy as np
 from flax import struct
 
 from jaxdyna.envs.gymnasium import spaces
+from jaxdyna.fields import setting
 from jaxdyna.types import Key
 
 
 @struct.dataclass
 class CartPoleParams:
-    """What can be swept; SI units and radians.
+    """What can be swept; SI units and radians."""
 
-    Attributes:
-        gravity: m/s².
-        masscart: kg.
-        masspole: kg.
-        length: half the pole's length, m.
-        force_mag: push to either side, N.
-        tau: seconds a step.
-        theta_threshold: the pole's angle beyond which the episode terminates.
-        x_threshold: the cart's distance from the middle beyond which it terminates.
-        reset_bound: every state variable starts uniformly within ± this.
-        max_steps: steps until truncation; 200 is Gym's v0, 500 its v1.
-    """
-
-    gravity: float = 9.8
-    masscart: float = 1.0
-    masspole: float = 0.1
-    length: float = 0.5
-    force_mag: float = 10.0
-    tau: float = 0.02
-    theta_threshold: float = 12 * 2 * math.pi / 360
-    x_threshold: float = 2.4
-    reset_bound: float = 0.05
-    max_steps: int = 200
+    gravity: float = setting(9.8, "Gravity, m/s².")
+    masscart: float = setting(1.0, "The cart's mass, kg.", above=0)
+    masspole: float = setting(0.1, "The pole's mass, kg.", above=0)
+    length: float = setting(0.5, "Half the pole's length, m.", above=0)
+    force_mag: float = setting(10.0, "Push to either side, N.")
+    tau: float = setting(0.02, "Seconds a step.", above=0)
+    theta_threshold: float = setting(
+        12 * 2 * math.pi / 360,
+        "The pole's angle beyond which the episode terminates, rad.",
+        above=0,
+    )
+    x_threshold: float = setting(
+        2.4, "The cart's distance from the middle beyond which it terminates, m.", above=0
+    )
+    reset_bound: float = setting(
+        0.05, "Every state variable starts uniformly within ± this.", at_least=0
+    )
+    max_steps: int = setting(
+        200, "Steps until truncation; 200 is Gym's v0, 500 its v1.", at_least=1
+    )
 
 
 @struct.dataclass

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.envs.gymnasium import spaces
+from jaxdyna.fields import SettingError, check, setting
 from jaxdyna.types import Environment, Key
 
 LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
@@ -21,25 +22,26 @@ class GreyFrames:
     """An environment whose coloured frames are seen as luminance, 84x84 (Mnih et al. 2015): each
     new pixel is the mean of the area that it covers. Frames are not maximised over two, since no
     game here flickers.
-
-    Attributes:
-        env: observes frames ``[H, W, 3]``, uint8; `jaxdyna.envs.Pong` and `AtariPong` with a
-            ``scale`` of 1 show the whole screen.
-        size: pixels a side, at most as many as the frames have.
     """
 
-    env: Environment
-    size: int = 84
+    env: Environment = setting(
+        help="Observes frames [H, W, 3], uint8; jaxdyna.envs.Pong and AtariPong with a scale of 1 "
+        "show the whole screen."
+    )
+    size: int = setting(84, "Pixels a side, at most as many as the frames have.", at_least=1)
 
     def __post_init__(self) -> None:
+        check(self)
         shape = self.env.observation_space(self.env.default_params).shape
         if len(shape) != 3 or shape[2] != 3:
             raise ValueError(
                 f"{type(self.env).__name__} observes arrays of shape {shape}: give an environment "
                 "that observes coloured pictures [height, width, 3]"
             )
-        if not 1 <= self.size <= min(shape[:2]):
-            raise ValueError(f"size is {self.size}: frames of {shape[:2]} can only be made smaller")
+        if self.size > min(shape[:2]):
+            raise SettingError(
+                "size", f"is {self.size}: frames of {shape[:2]} can only be made smaller"
+            )
 
     @property
     def default_params(self) -> Any:

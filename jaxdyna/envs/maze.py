@@ -11,6 +11,7 @@ import numpy as np
 from flax import struct
 
 from jaxdyna.envs.gymnasium import spaces
+from jaxdyna.fields import SettingError, check, setting
 from jaxdyna.types import Key
 
 MOVES = np.array([(0, -1), (0, 1), (-1, 0), (1, 0), (0, 0)], np.int32)
@@ -22,17 +23,13 @@ WAIT = 4
 
 @struct.dataclass
 class MazeParams:
-    """What can be swept.
+    """What can be swept."""
 
-    Attributes:
-        collision_reward: earned on a step that ends on a cell with any obstacle.
-        goal_reward: earned on a step that ends on the goal, beside it.
-        max_steps: steps until truncation; nothing terminates.
-    """
-
-    collision_reward: float = -5.0
-    goal_reward: float = 1.0
-    max_steps: int = 200
+    collision_reward: float = setting(
+        -5.0, "Earned on a step that ends on a cell with any obstacle."
+    )
+    goal_reward: float = setting(1.0, "Earned on a step that ends on the goal, beside it.")
+    max_steps: int = setting(200, "Steps until truncation; nothing terminates.", at_least=1)
 
 
 @struct.dataclass
@@ -64,34 +61,29 @@ class Maze:
 
     The observation is the frame, uint8 ``[size, size, 3]``: red 255 where an obstacle is, green at
     the goal, blue at the agent; a shared cell lights several channels.
-
-    Attributes:
-        size: cells a side.
-        num_obstacles: how many.
-        start: the agent's first cell; bottom left by default.
-        goal: top right by default.
     """
 
-    size: int = 16
-    num_obstacles: int = 5
-    start: tuple[int, int] | None = None
-    goal: tuple[int, int] | None = None
+    size: int = setting(16, "Cells a side.", at_least=2)
+    num_obstacles: int = setting(5, "Obstacles.", at_least=0)
+    start: tuple[int, int] | None = setting(
+        None, "The agent's first cell (row, column); None for bottom left.", at_least=0
+    )
+    goal: tuple[int, int] | None = setting(
+        None, "The goal's cell (row, column); None for top right.", at_least=0
+    )
 
     def __post_init__(self) -> None:
-        if self.size < 2:
-            raise ValueError(f"size is {self.size}: a maze has at least 2 cells a side")
+        check(self)
         for name, cell in (("start", self.start_cell), ("goal", self.goal_cell)):
-            if (
-                not isinstance(cell, tuple)
-                or len(cell) != 2
-                or not all(0 <= part < self.size for part in cell)
-            ):
-                raise ValueError(
-                    f"{name} is {cell}: give a tuple (row, column) within 0..{self.size - 1}"
+            if max(cell) >= self.size:
+                raise SettingError(
+                    name, f"is {cell}: give a tuple (row, column) within 0..{self.size - 1}"
                 )
         free = self.size**2 - len({self.start_cell, self.goal_cell})
-        if not 0 <= self.num_obstacles <= free:
-            raise ValueError(f"num_obstacles is {self.num_obstacles}: it must lie in 0..{free}")
+        if self.num_obstacles > free:
+            raise SettingError(
+                "num_obstacles", f"is {self.num_obstacles}: it must lie in 0..{free}"
+            )
 
     @property
     def start_cell(self) -> tuple[int, int]:

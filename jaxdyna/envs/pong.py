@@ -29,6 +29,7 @@ from jaxdyna.envs.pong_screen import (
     paint,
     screen_masks,
 )
+from jaxdyna.fields import SettingError, check, setting
 from jaxdyna.types import Key
 
 
@@ -46,23 +47,22 @@ class Pong:
     with walls and points; with more it is the field alone, ``[160 / scale, 160 / scale, 3]``, where
     a pixel shows what touches any of the pixels that it stands for, so that the ball never
     vanishes.
-
-    Attributes:
-        frame_skip: frames a step, all with the same action.
-        scale: how many of the game's pixels a pixel of the frame is wide and high; a divisor of
-            160.
-        palette: the colours; `CHANNELS` gives each object its own channel.
     """
 
-    frame_skip: int = 4
-    scale: int = 1
-    palette: Palette = Palette()
+    frame_skip: int = setting(4, "Frames a step, all with the same action.", at_least=1)
+    scale: int = setting(
+        1,
+        "How many of the game's pixels a pixel of the frame is wide and high; a divisor of 160.",
+        at_least=1,
+    )
+    palette: Palette = setting(
+        Palette(), "The colours; CHANNELS gives each object its own channel."
+    )
 
     def __post_init__(self) -> None:
-        if self.frame_skip < 1:
-            raise ValueError(f"frame_skip is {self.frame_skip}: a step has at least 1 frame")
-        if self.scale < 1 or FIELD % self.scale:
-            raise ValueError(f"scale is {self.scale}: it must be a divisor of {FIELD}")
+        check(self)
+        if FIELD % self.scale:
+            raise SettingError("scale", f"is {self.scale}: it must be a divisor of {FIELD}")
 
     @property
     def default_params(self) -> PongParams:

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from jaxdyna.fields import setting
 from jaxdyna.types import Key
 
 FIELD = 160
@@ -36,29 +37,32 @@ NUM_ACTIONS = len(_DIRECTION)
 
 @struct.dataclass
 class PongParams:
-    """What can be swept.
+    """What can be swept."""
 
-    Attributes:
-        points_to_win: of either side; reaching it terminates the episode.
-        max_steps: steps until truncation.
-        first_serve_delay: frames until the first serve; less than 1 counts as 1.
-        serve_delay: frames from a point to the next serve; less than 1 counts as 1.
-        opponent_speed: pixels a frame, 0 or more.
-        opponent_rest: the opponent stands still in one frame of so many, 1 or more.
-        paddle_speed: pixels a frame, 0 or more, that the player moves where the own paddle is to
-            go.
-        repeat_action_probability: that a frame repeats the last frame's action instead ("sticky
-            actions"; 0.25 in ``ALE/Pong-v5``, 0 in ``PongNoFrameskip-v4``).
-    """
-
-    points_to_win: int = 21
-    max_steps: int = 27_000
-    first_serve_delay: int = 59
-    serve_delay: int = 63
-    opponent_speed: int = 2
-    opponent_rest: int = 8
-    paddle_speed: float = 5.8
-    repeat_action_probability: float = 0.0
+    points_to_win: int = setting(
+        21, "Points of either side; reaching them terminates the episode.", at_least=1
+    )
+    max_steps: int = setting(27_000, "Steps until truncation.", at_least=1)
+    first_serve_delay: int = setting(59, "Frames until the first serve; 0 counts as 1.", at_least=0)
+    serve_delay: int = setting(
+        63, "Frames from a point to the next serve; 0 counts as 1.", at_least=0
+    )
+    opponent_speed: int = setting(2, "The opponent's speed, pixels a frame.", at_least=0)
+    opponent_rest: int = setting(
+        8, "The opponent stands still in one frame of so many.", at_least=1
+    )
+    paddle_speed: float = setting(
+        5.8,
+        "Pixels a frame that the player moves where the own paddle is to go.",
+        at_least=0,
+    )
+    repeat_action_probability: float = setting(
+        0.0,
+        'Probability that a frame repeats the last frame\'s action instead ("sticky actions"; '
+        "0.25 in ALE/Pong-v5, 0 in PongNoFrameskip-v4).",
+        at_least=0,
+        at_most=1,
+    )
 
 
 @struct.dataclass

@@ -11,6 +11,7 @@ import numpy as np
 from flax import struct
 
 from jaxdyna.envs.gymnasium import spaces
+from jaxdyna.fields import check, setting
 from jaxdyna.types import Environment, Key
 
 
@@ -26,18 +27,13 @@ class StackState:
 class FrameStack:
     """An environment whose observation is its last frames, stacked on the channels, the newest
     last; an episode begins with its first frame repeated.
-
-    Attributes:
-        env: observes frames ``[H, W, C]``.
-        num_frames: how many.
     """
 
-    env: Environment
-    num_frames: int = 4
+    env: Environment = setting(help="Observes frames [H, W, C].")
+    num_frames: int = setting(4, "Frames in an observation.", at_least=1)
 
     def __post_init__(self) -> None:
-        if self.num_frames < 1:
-            raise ValueError(f"num_frames is {self.num_frames}: it must be at least 1")
+        check(self)
         shape = self.env.observation_space(self.env.default_params).shape
         if len(shape) != 3:
             raise ValueError(

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from jaxdyna.experiments.plots import save
+from jaxdyna.experiments.report.plots import save, subplots
 
 COLOURS = ("#c0392b", "#0f7b6c")
 
@@ -23,7 +22,7 @@ def beside(path: Path, found: Mapping[str, Mapping[str, np.ndarray]], paddle: in
         found: by the game's name, what `pong_likeness` counts.
         paddle: its height in pixels.
     """
-    figure, panels = plt.subplots(2, 3, figsize=(12.5, 7))
+    figure, panels = subplots(2, 3, figsize=(12.5, 7))
     (rally, speed, own), (gap, score, opponent) = panels
     for number, (name, values) in enumerate(found.items()):
         look = {"color": COLOURS[number], "label": name}

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 
-from jaxdyna.experiments.plots import COLOURS, save
+from jaxdyna.experiments.report.plots import COLOURS, save, subplots
 
 SHADES = {
     "policy": "#0f7b6c",
@@ -35,7 +34,7 @@ def decisions(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         rows: of `jaxdyna.experiments.planning_budgets.measure`.
     """
     names = list(dict.fromkeys(row["environment"] for row in rows))
-    figure, panels = plt.subplots(1, len(names), figsize=(5.6 * len(names), 4.6), squeeze=False)
+    figure, panels = subplots(1, len(names), figsize=(5.6 * len(names), 4.6), squeeze=False)
     for panel, name in zip(panels[0], names, strict=True):
         here = [row for row in rows if row["environment"] == name]
         for who, world in dict.fromkeys((row["who"], row["world"]) for row in here):
@@ -84,7 +83,7 @@ def solved_shares(
             unsolved.
         known: by arm the last episode at which it is known, where its line ends.
     """
-    figure, panel = plt.subplots(figsize=(7.4, 4.0))
+    figure, panel = subplots(figsize=(7.4, 4.0))
     styles = ("-", "--", ":", "-.")
     seen: dict[str, int] = {}
     for name, values in first_solved.items():

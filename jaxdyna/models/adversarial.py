@@ -12,25 +12,29 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
+from jaxdyna.fields import check, setting
 from jaxdyna.losses import deceive, discern
 from jaxdyna.networks import Discriminator
+from jaxdyna.settings import Optimizer, optimizer_setting
 from jaxdyna.types import Key
 
 
 @struct.dataclass
 class AdversarialHParams:
-    """What can be swept: a model's settings, and the adversary's.
+    """What can be swept: a model's settings, and the adversary's."""
 
-    Attributes:
-        learning_rate: of the model.
-        adversarial_weight: the paper's lambda: of the adversarial loss beside the summed loss of a
-            frame's pixels. At 0 the model learns as it would alone.
-        discriminator_learning_rate: of the discriminator.
-    """
-
-    learning_rate: float | jax.Array = 2e-4
-    adversarial_weight: float | jax.Array = 1.0
-    discriminator_learning_rate: float | jax.Array = 2e-4
+    learning_rate: float | jax.Array = setting(
+        2e-4, "Learning rate of the model's optimiser.", at_least=0, everyday=True
+    )
+    adversarial_weight: float | jax.Array = setting(
+        1.0,
+        "The paper's lambda: weight of the adversarial loss beside the summed loss of a frame's "
+        "pixels. At 0 the model learns as it would alone.",
+        at_least=0,
+    )
+    discriminator_learning_rate: float | jax.Array = setting(
+        2e-4, "Learning rate of the discriminator's optimiser.", at_least=0
+    )
 
 
 gan_adam = partial(optax.adam, b1=0.5)
@@ -39,15 +43,13 @@ gan_adam = partial(optax.adam, b1=0.5)
 
 @dataclass(frozen=True)
 class AdversaryConfig:
-    """What decides the program.
+    """What decides the program."""
 
-    Attributes:
-        network: from pictures ``[N, H, W, C]`` to log odds ``[N]``.
-        optimizer: from a learning rate to an optax transformation; `gan_adam` by default.
-    """
+    network: Any = setting(Discriminator(), "A module from pictures [N, H, W, C] to log odds [N].")
+    optimizer: Optimizer = optimizer_setting(gan_adam, gan_adam=gan_adam)
 
-    network: Any = Discriminator()
-    optimizer: Callable[[Any], optax.GradientTransformation] = gan_adam
+    def __post_init__(self) -> None:
+        check(self)
 
 
 @struct.dataclass

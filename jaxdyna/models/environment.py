@@ -11,28 +11,30 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from jaxdyna.fields import setting
 from jaxdyna.types import Environment, Key, Prediction
 
 
 @struct.dataclass
 class LearnedParams:
-    """What a learned environment takes in its params slot.
+    """What a learned environment takes in its params slot."""
 
-    Attributes:
-        model: what the model's ``predict`` takes: its weights.
-        start: what the function that draws start states takes.
-        termination_threshold: the probability of the end above which a fake episode terminates
-            (`threshold_rule`).
-        disagreement_threshold: how far the model may mistrust itself before a fake episode
-            ends (`threshold_rule`, `doubtful`), in the units of `Prediction.disagreement`.
-        max_steps: steps until truncation.
-    """
-
-    model: Any
-    start: Any = None
-    termination_threshold: float | jax.Array = 0.5
-    disagreement_threshold: float | jax.Array = math.inf
-    max_steps: int | jax.Array = 200
+    model: Any = setting(help="What the model's predict takes: its weights.")
+    start: Any = setting(None, "What the function that draws start states takes.")
+    termination_threshold: float | jax.Array = setting(
+        0.5,
+        "Probability of the end above which a fake episode terminates (threshold_rule).",
+        at_least=0,
+        at_most=1,
+    )
+    disagreement_threshold: float | jax.Array = setting(
+        math.inf,
+        "How far the model may mistrust itself before a fake episode ends (threshold_rule, "
+        "doubtful), in the units of jaxdyna.types.Prediction.disagreement.",
+        at_least=0,
+        infinite=True,
+    )
+    max_steps: int | jax.Array = setting(200, "Steps until truncation.", at_least=1)
 
 
 @struct.dataclass

@@ -11,55 +11,59 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.losses import PixelLoss, bce
-from jaxdyna.models.adversarial import Adversary
+from jaxdyna.fields import check, setting
+from jaxdyna.losses import PixelLoss, bce, l1, l2
+from jaxdyna.models.adversarial import Adversary, gan_adam
 from jaxdyna.networks import FrameModel, LocalDynamics, LocalReward
+from jaxdyna.settings import Optimizer, optimizer_setting
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 
 
 @struct.dataclass
 class PixelHParams:
-    """What can be swept.
+    """What can be swept."""
 
-    Attributes:
-        learning_rate: of the optimiser.
-    """
-
-    learning_rate: float | jax.Array = 5e-3
+    learning_rate: float | jax.Array = setting(
+        5e-3, "Learning rate of the model's optimiser.", at_least=0, everyday=True
+    )
 
 
 @dataclass(frozen=True)
 class PixelConfig:
-    """What decides the program.
+    """What decides the program."""
 
-    Attributes:
-        network: a module ``(stack [N, H, W, C * frames], action [N, actions], train, valid [N]) ->
-            (raw [N, H, W, C], features)``: `jaxdyna.networks.EncoderDecoder` is the paper's.
-        loss: of the pixels.
-        threshold: a pixel is lit where it is believed to be with a greater probability (the
-            paper's is 0.2); None draws it with that probability.
-        reward: a module ``(features, next_frame [N, H, W, C]) -> (reward [N], charge [N])``:
-            `jaxdyna.networks.JointReward`, `LocalReward`; None predicts no reward.
-        reward_weight: of its squared error beside the pixels' summed loss.
-        terminates: whether the end of the episode is predicted; without it no episode ends.
-        optimizer: from a learning rate to an optax transformation.
-        shades: pixels keep what is believed of them, as a shade; the threshold does not count.
-    """
-
-    network: Any = LocalDynamics(3)
-    loss: PixelLoss = bce
-    threshold: float | None = 0.5
-    reward: Any = LocalReward()
-    reward_weight: float = 1.0
-    terminates: bool = False
-    optimizer: Callable[[Any], optax.GradientTransformation] = optax.adam
-    shades: bool = False
+    network: Any = setting(
+        LocalDynamics(3),
+        "A module (stack [N, H, W, C * frames], action [N, actions], train, valid [N]) -> (raw "
+        "[N, H, W, C], features); jaxdyna.networks.EncoderDecoder is the paper's.",
+    )
+    loss: PixelLoss = setting(bce, "Loss of the pixels.", choices={"bce": bce, "l1": l1, "l2": l2})
+    threshold: float | None = setting(
+        0.5,
+        "A pixel is lit where it is believed to be with a greater probability (the paper's is "
+        "0.2); None draws it with that probability.",
+        at_least=0,
+        below=1,
+    )
+    reward: Any = setting(
+        LocalReward(),
+        "A module (features, next_frame [N, H, W, C]) -> (reward [N], charge [N]), such as "
+        "jaxdyna.networks.JointReward and LocalReward; None predicts no reward.",
+    )
+    reward_weight: float = setting(
+        1.0, "Weight of the reward's squared error beside the pixels' summed loss.", at_least=0
+    )
+    terminates: bool = setting(
+        False, "Whether the end of the episode is predicted; without it no episode ends."
+    )
+    optimizer: Optimizer = optimizer_setting(optax.adam, gan_adam=gan_adam)
+    shades: bool = setting(
+        False,
+        "Pixels keep what is believed of them, as a shade; the threshold does not count.",
+    )
 
     def __post_init__(self) -> None:
-        if self.threshold is not None and not 0 <= self.threshold < 1:
-            raise ValueError(f"threshold is {self.threshold}: it must lie in [0, 1), or be None")
-        if not self.reward_weight >= 0:
-            raise ValueError(f"reward_weight is {self.reward_weight}: it must be 0 or more")
+        check(self)
 
 
 @struct.dataclass

@@ -16,40 +16,41 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
+from jaxdyna.fields import check, setting
 from jaxdyna.networks.contacts import Rectangles
 from jaxdyna.networks.rectangles import EdgeOdds, RectangleDynamics, drawn, rectangles_of
+from jaxdyna.settings import Optimizer, optimizer_setting
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 
 
 @dataclass(frozen=True)
 class RectangleConfig:
-    """What decides the program.
+    """What decides the program."""
 
-    Attributes:
-        reach: the most rows and columns that a thing moves in a step.
-        groups: channels that are decided together, one group after the other.
-        hidden: widths of each group's perceptron.
-        dropout: share of the features that a gradient step does without.
-        draws: draw one of the possible futures; False takes each edge's likeliest place.
-        reward_weight: of the reward's cross-entropy beside the edges'.
-        optimizer: from a learning rate to an optax transformation.
-    """
-
-    reach: tuple[int, int] = (20, 4)
-    groups: tuple[tuple[int, ...], ...] = ((0,), (1,), (2,))
-    hidden: tuple[int, ...] = (256, 256)
-    dropout: float = 0.0
-    draws: bool = False
-    reward_weight: float = 1.0
-    optimizer: Callable[[Any], optax.GradientTransformation] = optax.adam
+    reach: tuple[int, int] = setting(
+        (20, 4), "The most rows and columns that a thing moves in a step.", at_least=1
+    )
+    groups: tuple[tuple[int, ...], ...] = setting(
+        ((0,), (1,), (2,)),
+        "Channels that are decided together, one group after the other.",
+        at_least=0,
+    )
+    hidden: tuple[int, ...] = setting(
+        (256, 256), "Widths of each group's perceptron.", at_least=1, everyday=True
+    )
+    dropout: float = setting(
+        0.0, "Share of the features that a gradient step does without.", at_least=0, below=1
+    )
+    draws: bool = setting(
+        False, "Draw one of the possible futures; False takes each edge's likeliest place."
+    )
+    reward_weight: float = setting(
+        1.0, "Weight of the reward's cross-entropy beside the edges'.", at_least=0
+    )
+    optimizer: Optimizer = optimizer_setting(optax.adam)
 
     def __post_init__(self) -> None:
-        if min(self.reach) < 1:
-            raise ValueError(f"reach is {self.reach}: things must be able to move")
-        if not 0 <= self.dropout < 1:
-            raise ValueError(f"dropout is {self.dropout}: it must lie in [0, 1)")
-        if not self.reward_weight >= 0:
-            raise ValueError(f"reward_weight is {self.reward_weight}: it must be 0 or more")
+        check(self)
 
 
 @struct.dataclass

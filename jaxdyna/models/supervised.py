@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,59 +10,59 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
+from jaxdyna.fields import check, setting
 from jaxdyna.losses import transition_loss
 from jaxdyna.networks import MLP
+from jaxdyna.settings import Optimizer, optimizer_setting
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 
 
 @struct.dataclass
 class SupervisedHParams:
-    """What can be swept.
+    """What can be swept."""
 
-    Attributes:
-        learning_rate: of the optimiser.
-    """
-
-    learning_rate: float = 1e-2
+    learning_rate: float = setting(
+        1e-2, "Learning rate of the model's optimiser.", at_least=0, everyday=True
+    )
 
 
 @dataclass(frozen=True)
 class SupervisedConfig:
-    """What decides the program. The defaults are the paper's (§3.1).
+    """What decides the program. The defaults are the paper's (§3.1)."""
 
-    Attributes:
-        hidden: widths of the hidden layers.
-        sum_loss: Eq. 1 sums over the batch; False takes the mean, which divides the step by the
-            batch size.
-        delta: predict the change of the state instead of the next state.
-        normalise: scale inputs and state targets by their running mean and standard deviation.
-        spread: how many standard deviations `normalise` maps to 1. More makes the state's errors
-            smaller beside the cross-entropy of the end, and a summed loss stable at larger steps.
-        one_hot: encode the action one-hot instead of as one number.
-        ensemble: number of members, each with its own initial weights and its own resampling of
-            every batch; a prediction is their mean.
-        weight_variance: of the initial weights, see `jaxdyna.networks.MLP`.
-        optimizer: from a learning rate to an optax transformation.
-    """
-
-    hidden: tuple[int, ...] = (256, 256)
-    sum_loss: bool = True
-    delta: bool = False
-    normalise: bool = False
-    spread: float = 1.0
-    one_hot: bool = False
-    ensemble: int = 1
-    weight_variance: float = 1.0
-    optimizer: Callable[[Any], optax.GradientTransformation] = optax.sgd
+    hidden: tuple[int, ...] = setting(
+        (256, 256), "Widths of the model's hidden layers.", at_least=1, everyday=True
+    )
+    sum_loss: bool = setting(
+        True,
+        "Eq. 1 sums over the batch; False takes the mean, which divides the step by the batch "
+        "size.",
+    )
+    delta: bool = setting(False, "Predict the change of the state instead of the next state.")
+    normalise: bool = setting(
+        False, "Scale inputs and state targets by their running mean and standard deviation."
+    )
+    spread: float = setting(
+        1.0,
+        "How many standard deviations normalise maps to 1. More makes the state's errors smaller "
+        "beside the cross-entropy of the end, and a summed loss stable at larger steps.",
+        above=0,
+    )
+    one_hot: bool = setting(False, "Encode the action one-hot instead of as one number.")
+    ensemble: int = setting(
+        1,
+        "Members of the ensemble, each with its own initial weights and its own resampling of "
+        "every batch; a prediction is their mean.",
+        at_least=1,
+        everyday=True,
+    )
+    weight_variance: float = setting(
+        1.0, "Variance of the initial weights, see jaxdyna.networks.MLP.", above=0
+    )
+    optimizer: Optimizer = optimizer_setting(optax.sgd)
 
     def __post_init__(self) -> None:
-        if self.ensemble < 1:
-            raise ValueError(f"an ensemble of {self.ensemble} members: it needs at least 1")
-        if min(self.hidden, default=1) < 1:
-            raise ValueError(f"hidden widths are {self.hidden}: each must be at least 1")
-        for name in ("spread", "weight_variance"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be above 0 and finite")
+        check(self)
 
 
 @struct.dataclass

@@ -13,43 +13,42 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.fields import check, setting
 from jaxdyna.planners.decision import Decision, Guide, Planner
 from jaxdyna.types import Environment, Key
 
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """What decides the program.
+    """What decides the program."""
 
-    Attributes:
-        simulations: nodes that the tree grows by: steps of the world.
-        max_depth: deepest node; None for as many as ``simulations``.
-        discount: of the return.
-        considered: actions at the root that `gumbel_muzero` looks at, the likeliest by prior and
-            noise.
-        gumbel_scale: of that noise; 0 looks at the likeliest and decides for the best.
-        dirichlet_fraction: share of noise in the prior at the root of `muzero`.
-        temperature: of the visits that `muzero` draws its action by; 0 takes the most visited.
-    """
-
-    simulations: int = 32
-    max_depth: int | None = None
-    discount: float = 0.99
-    considered: int = 16
-    gumbel_scale: float = 0.0
-    dirichlet_fraction: float = 0.0
-    temperature: float = 0.0
+    simulations: int = setting(32, "Nodes that the tree grows by: steps of the world.", at_least=1)
+    max_depth: int | None = setting(
+        None, "Deepest node; None for as many as simulations.", at_least=1
+    )
+    discount: float = setting(0.99, "Discount of the return.", at_least=0, at_most=1)
+    considered: int = setting(
+        16,
+        "Actions at the root that gumbel_muzero looks at, the likeliest by prior and noise.",
+        at_least=1,
+    )
+    gumbel_scale: float = setting(
+        0.0,
+        "Scale of that noise; 0 looks at the likeliest and decides for the best.",
+        at_least=0,
+    )
+    dirichlet_fraction: float = setting(
+        0.0, "Share of noise in the prior at the root of muzero.", at_least=0, at_most=1
+    )
+    temperature: float = setting(
+        0.0,
+        "Temperature of the visits that muzero draws its action by; 0 takes the most visited.",
+        at_least=0,
+        infinite=True,
+    )
 
     def __post_init__(self) -> None:
-        for name in ("simulations", "considered", "max_depth"):
-            if getattr(self, name) is not None and getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be at least 1")
-        for name in ("discount", "dirichlet_fraction"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must lie between 0 and 1")
-        for name in ("gumbel_scale", "temperature"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be 0 or more")
+        check(self)
 
 
 class Node(NamedTuple):

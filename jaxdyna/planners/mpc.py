@@ -15,70 +15,64 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.fields import SettingError, check, setting
 from jaxdyna.planners.decision import Decision, Guide, Planner, Value
 from jaxdyna.types import Environment, Key
 
 
 @dataclass(frozen=True)
 class ShootingConfig:
-    """What decides the program.
+    """What decides the program."""
 
-    Attributes:
-        horizon: steps that are looked ahead.
-        candidates: sequences that are tried; times ``horizon``, the steps of the world.
-        discount: of the return.
-        drift: standard deviation of the log odds of a candidate's actions, drawn for each: it keeps
-            a direction, as a random walk does not. 0: every action is as likely at every step.
-        temperature: of the returns by which `random_shooting` chooses: an action is worth ``t log
-            mean exp(return / t)`` of the sequences that begin with it. 0 goes by the best of them,
-            infinity by their mean: what is safe whatever follows wins over what a single sequence
-            gets away with.
-        particles: episodes that a sequence is judged by, for a world that is random.
-    """
-
-    horizon: int = 20
-    candidates: int = 64
-    discount: float = 1.0
-    drift: float = 0.0
-    temperature: float = 0.0
-    particles: int = 1
+    horizon: int = setting(20, "Steps that are looked ahead.", at_least=1)
+    candidates: int = setting(
+        64, "Sequences that are tried; times horizon, the steps of the world.", at_least=1
+    )
+    discount: float = setting(1.0, "Discount of the return.", at_least=0, at_most=1)
+    drift: float = setting(
+        0.0,
+        "Standard deviation of the log odds of a candidate's actions, drawn for each: it keeps a "
+        "direction, as a random walk does not. 0: every action is as likely at every step.",
+        at_least=0,
+    )
+    temperature: float = setting(
+        0.0,
+        "Temperature of the returns by which random shooting chooses: an action is worth t log "
+        "mean exp(return / t) of the sequences that begin with it. 0 goes by the best of them, "
+        "infinity by their mean: what is safe whatever follows wins over what a single sequence "
+        "gets away with.",
+        at_least=0,
+        infinite=True,
+    )
+    particles: int = setting(
+        1, "Episodes that a sequence is judged by, for a world that is random.", at_least=1
+    )
 
     def __post_init__(self) -> None:
-        for name in ("horizon", "candidates", "particles"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be at least 1")
-        if not 0 <= self.discount <= 1:
-            raise ValueError(f"discount is {self.discount}: it must lie between 0 and 1")
-        for name in ("drift", "temperature"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be 0 or more")
+        check(self)
 
 
 @dataclass(frozen=True)
 class CrossEntropyConfig(ShootingConfig):
-    """What decides the program of the cross-entropy method.
+    """What decides the program of the cross-entropy method."""
 
-    Attributes:
-        iterations: rounds of so many ``candidates`` each.
-        elites: best candidates of a round that the next one is drawn like.
-        floor: least probability of an action in the next round, shared by all actions.
-    """
-
-    iterations: int = 3
-    elites: int = 8
-    floor: float = 0.1
+    iterations: int = setting(3, "Rounds of so many candidates each.", at_least=1)
+    elites: int = setting(
+        8, "Best candidates of a round that the next one is drawn like.", at_least=1
+    )
+    floor: float = setting(
+        0.1,
+        "Least probability of an action in the next round, shared by all actions.",
+        above=0,
+        at_most=1,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.iterations < 1:
-            raise ValueError(f"iterations is {self.iterations}: it must be at least 1")
-        if not 1 <= self.elites <= self.candidates:
-            raise ValueError(
-                f"elites is {self.elites}: it must lie between 1 and the {self.candidates} "
-                "candidates"
+        if self.elites > self.candidates:
+            raise SettingError(
+                "elites", f"is {self.elites}: there are only {self.candidates} candidates"
             )
-        if not 0 < self.floor <= 1:
-            raise ValueError(f"floor is {self.floor}: it must lie above 0 and be at most 1")
 
 
 def score(

@@ -1,0 +1,165 @@
+"""Learning to catch: settings, arms, report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, ClassVar, Self
+
+import jax
+import jax.numpy as jnp
+
+from jaxdyna.agents import DQNConfig, DQNHParams, dqn
+from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, Metrics
+from jaxdyna.envs import Catch, CatchParams, CatchState, FrameStack
+from jaxdyna.experiments.engine import Experiment, Options
+from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report.summaries import mean_of_runs
+from jaxdyna.experiments.report.tables import markdown_table, with_interval
+from jaxdyna.experiments.study import arms as study
+from jaxdyna.experiments.study.frames import Replayed, frame_dyna
+from jaxdyna.fields import changed, setting
+from jaxdyna.models import PixelConfig, PixelHParams, pixels
+from jaxdyna.networks import GlimpseQ, LocalDynamics, SignedReward
+from jaxdyna.rollout import rollout
+from jaxdyna.statistics import SolveRule
+
+RULE = SolveRule(50, 0.9)
+JUDGED = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class CatchOptions(Options):
+    """DQN on the frames of Catch, with and without fake episodes from a learned model."""
+
+    decided: ClassVar = {
+        "dyna.num_episodes": "--episodes",
+        "dyna.num_steps": "--rows",
+        "hparams.env.max_steps": "--rows",
+        "agent.network": "the experiment",
+    }
+
+    arms: tuple[str, ...] = setting(("model_free", "dyna"), "what is played", everyday=True)
+    episodes: int = setting(400, "real episodes of a run at the most", at_least=1, everyday=True)
+    stop_after_solved: int | None = setting(
+        0, "real episodes that a run plays on once it has solved; None plays all", at_least=0,
+        everyday=True,
+    )  # fmt: skip
+    rows: int = setting(10, "of the board", at_least=3)
+    columns: int = setting(5, "of the board", at_least=2)
+    widths: tuple[int, ...] = setting((16, 16), "channels of the model's 3x3 convolutions",
+                                      at_least=1)  # fmt: skip
+    dyna: DynaConfig = setting(
+        factory=lambda: DynaConfig(
+            num_episodes=400, num_steps=9, num_real_first=20, model_updates=20, model_batch=32,
+            dream_updates=1, dream_episodes=32, dream_steps=9,
+        )
+    )  # fmt: skip
+    agent: DQNConfig = setting(
+        factory=lambda: DQNConfig(updates=10, fake_updates=40, fake_capacity=10_000, n_step=3)
+    )
+    hparams: DynaHParams = setting(
+        factory=lambda: DynaHParams(
+            agent=DQNHParams(epsilon_hold=10.0, epsilon_episodes=40.0, discount=0.97),
+            model=PixelHParams(3e-3),
+            env=CatchParams(),
+        )
+    )
+
+    def resolved(self) -> Self:
+        """Episodes last as long as the ball falls."""
+        steps = self.rows - 1
+        return changed(self, {
+            "dyna.num_episodes": self.episodes, "dyna.num_steps": steps,
+            "dyna.dream_steps": min(self.dyna.dream_steps or steps, steps),
+            "hparams.env.max_steps": steps,
+        })  # fmt: skip
+
+
+@cache
+def parts(game: Catch, agent: DQNConfig, widths: tuple[int, ...]) -> Dyna:
+    """The parts of ``dyna``: one object, and so one program, for the same settings."""
+    env, shape = FrameStack(game), (game.rows, game.columns, 3)
+    config = PixelConfig(LocalDynamics(3, widths), reward=SignedReward(), terminates=True)
+    model = pixels(shape, game.num_actions, config)
+    return frame_dyna(env, dqn(shape, game.num_actions, agent), model)
+
+
+def arms(options: CatchOptions) -> dict[str, study.Made]:
+    """The standard arms."""
+    game = Catch(options.rows, options.columns, frames=True)
+    agent = replace(study.sized(options.agent, options.dyna), network=GlimpseQ(game.num_actions))
+    dyna = parts(game, agent, options.widths)
+    return study.standard_arms(
+        dyna, options.dyna, options.hparams, true_dream(game),
+        study.Hooks(judge, piece=10, block=options.block),
+        real_only=study.real_steps,
+        busier=parts(game, study.busy(agent), options.widths).agent,
+    )  # fmt: skip
+
+
+@cache
+def true_dream(game: Catch) -> Dream:
+    """The oracle's dreams: the true game from any frames that a real episode has shown."""
+    def read(stack: jax.Array, key: jax.Array) -> CatchState:
+        newest = stack[..., -3:] > 0
+        row, column = jnp.unravel_index(jnp.argmax(newest[..., 0]), newest.shape[:2])
+        paddle = jnp.argmax(newest[-1, :, 2])
+        ball = jnp.stack([row, column]).astype(jnp.int32)
+        return CatchState(ball, paddle.astype(jnp.int32), row.astype(jnp.int32))
+
+    return Replayed(FrameStack(game), read).dream
+
+
+def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Any, hparams: Any) -> Metrics:
+    """The final greedy policy in new episodes: ``greedy_return``, a mean."""
+    acting = study.greedy(hparams.agent)
+
+    def act(obs: jax.Array, key: Any) -> jax.Array:
+        return dyna.agent.act(state.agent, obs, key, acting)
+
+    played = rollout(dyna.env, act, key, hparams.env, JUDGED, num_steps=config.num_steps)
+    return {"greedy_return": played.reward.sum(-1).mean()}
+
+
+def describe(options: CatchOptions, curves: Any) -> dict[str, Any]:
+    """The final policy in numbers."""
+    return {"greedy_return": mean_of_runs(curves["greedy_return"])}
+
+
+def final(record: Any) -> str:
+    """What the final policies earn."""
+    rows = [
+        [name, with_interval(arm["greedy_return"], 2)]
+        for name, arm in record.results["arms"].items()
+    ]
+    return report.paragraphs(
+        "## The final policy",
+        f"Greedy, {JUDGED} new episodes a run; 1 is every ball caught, -1 none.",
+        markdown_table(["arm", "return: mean (95% interval)"], rows),
+    )
+
+
+TUNED = CatchOptions()
+LEAN = changed(TUNED, {
+    "preset": "lean", "dyna.num_real_first": 8, "dyna.model_updates": 60, "agent.updates": 20,
+    "agent.fake_updates": 100, "hparams.agent.epsilon_hold": 8.0,
+    "hparams.agent.epsilon_episodes": 10.0,
+})  # fmt: skip
+CATCH = Experiment(
+    name="catch",
+    title="Catch",
+    presets={"tuned": TUNED, "lean": LEAN},
+    quick=dict.fromkeys(("tuned", "lean"), {"seeds": 2, "episodes": 120}),
+    arms=arms,
+    rule=lambda options: RULE,
+    describe=(describe,),
+    sections=(
+        report.solving(lambda options: RULE, {}, {}),
+        report.learning_curves(lambda options: RULE, window=20),
+        report.endings(lambda options: RULE),
+        report.behaviour({"wrong_frames": "share of new frames predicted wrong"}, 10),
+        final, report.arms_said(study.SAID), report.settings, report.spent,
+    ),
+    summary=report.solve_summary("Catch", {}, {}),
+)  # fmt: skip

@@ -1,0 +1,31 @@
+"""The one engine: it plays, saves, resumes, sweeps, shards and reports any experiment."""
+
+from jaxdyna.experiments.engine.experiment import (
+    Experiment,
+    Options,
+    Overrides,
+    Record,
+    Results,
+    Study,
+    Table,
+)
+from jaxdyna.experiments.engine.session import main
+from jaxdyna.experiments.engine.work import Arm, Curves, Engine, InputError, Runs, Work, runs_of
+
+__all__ = [
+    "Arm",
+    "Curves",
+    "Engine",
+    "Experiment",
+    "InputError",
+    "Options",
+    "Overrides",
+    "Record",
+    "Results",
+    "Runs",
+    "Study",
+    "Table",
+    "Work",
+    "main",
+    "runs_of",
+]

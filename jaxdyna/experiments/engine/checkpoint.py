@@ -1,0 +1,136 @@
+"""Checkpoints of blocks between two pieces: resumed from them, runs are bit for bit the same.
+
+A file a block, written whole or not at all: arrays by the names of the state's leaves, with the axis of
+runs in front, and nothing of devices in them. NumPy's format carries checksums.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+Curves = dict[str, np.ndarray]
+CHECKPOINT_SECONDS = 20.0
+CHECKPOINT_SHARE = 0.05
+ABOUT = "about"
+
+
+@dataclass
+class Kept:
+    """A block between two pieces.
+
+    Attributes:
+        done: units played.
+        state: its runs', leaves ``[block, ...]``, or as read from a file, by name; None once all its
+            runs are over.
+        metrics: ``[block, done, ...]``.
+        over: what runs came to that are over, by their row.
+    """
+
+    done: int
+    state: Any
+    metrics: Curves
+    over: dict[int, Curves]
+
+    def into(self, like: Any, place: Any) -> Any:
+        """The state that was read, in the structure and on the device of ``like``.
+
+        Raises:
+            ValueError: where it is of another structure.
+        """
+        examples, structure = jax.tree_util.tree_flatten_with_path(like)
+        leaves = []
+        for path, example in examples:
+            saved = self.state.get(jax.tree_util.keystr(path))
+            if saved is None or (not _is_key(example) and saved.shape != example.shape):
+                raise ValueError(
+                    f"the checkpoint has no {jax.tree_util.keystr(path)} of shape {example.shape}: it "
+                    "is another version's; run without --resume"
+                )
+            leaf = jax.random.wrap_key_data(saved) if _is_key(example) else saved
+            leaves.append(jax.device_put(leaf, place))
+        return jax.tree.unflatten(structure, leaves)
+
+
+class Store:
+    """The checkpoints of one arm.
+
+    Args:
+        folder: of its own, made when needed.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+
+    def block(self, number: int) -> BlockStore:
+        """Those of one block."""
+        return BlockStore(self.folder / f"block{number}.npz")
+
+    def seconds(self) -> float:
+        """Seconds played up to the last checkpoint of any."""
+        return max(
+            (_about(path)["seconds"] for path in self.folder.glob("block*.npz")), default=0.0
+        )
+
+
+class BlockStore:
+    """The newest checkpoint of a block, replaced only once the next is whole."""
+
+    def __init__(self, path: Path):
+        self.path, self.pause, self.saved = path, CHECKPOINT_SECONDS, time.perf_counter()
+
+    def due(self) -> bool:
+        """Whether one should be written now: writing takes a small share of the time at the most."""
+        return time.perf_counter() - self.saved > self.pause
+
+    def save(self, kept: Kept, seconds: float) -> None:
+        """Writes it."""
+        began = time.perf_counter()
+        arrays: Curves = {f"metrics/{name}": values for name, values in kept.metrics.items()}
+        for row, curves in kept.over.items():
+            arrays |= {f"over/{row}/{name}": values for name, values in curves.items()}
+        for path, leaf in jax.tree_util.tree_flatten_with_path(kept.state)[0]:
+            raw = jax.random.key_data(leaf) if _is_key(leaf) else leaf
+            arrays[f"state/{jax.tree_util.keystr(path)}"] = np.asarray(raw)
+        about = {"done": kept.done, "over": list(kept.over), "seconds": seconds}
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        part = self.path.with_suffix(".part")
+        with part.open("wb") as file:
+            np.savez(file, **{ABOUT: np.array(json.dumps(about))}, **arrays)  # type: ignore[arg-type]
+        part.replace(self.path)
+        self.saved = time.perf_counter()
+        self.pause = max(CHECKPOINT_SECONDS, (self.saved - began) / CHECKPOINT_SHARE)
+
+    def load(self) -> Kept | None:
+        """Reads it back; None where there is none."""
+        if not self.path.exists():
+            return None
+        about = _about(self.path)
+        state, metrics = Curves(), Curves()
+        over: dict[int, Curves] = {row: {} for row in about["over"]}
+        with np.load(self.path) as file:
+            for name in file.files:
+                kind, _, rest = name.partition("/")
+                if kind == "state":
+                    state[rest] = file[name]
+                elif kind == "metrics":
+                    metrics[rest] = file[name]
+                elif kind == "over":
+                    row, _, rest = rest.partition("/")
+                    over[int(row)][rest] = file[name]
+        return Kept(about["done"], state, metrics, over)
+
+
+def _about(path: Path) -> dict[str, Any]:
+    with np.load(path) as file:
+        return json.loads(str(file[ABOUT]))
+
+
+def _is_key(leaf: Any) -> bool:
+    return hasattr(leaf, "dtype") and jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)

@@ -1,0 +1,218 @@
+"""Command lines derived from declared settings, with errors of one line."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import shutil
+import sys
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar, get_args
+
+import tyro
+
+from jaxdyna import fields
+from jaxdyna.fields import Leaf, SettingError, setting
+
+O = TypeVar("O")  # noqa: E741
+NOT_SWEPT = ("seeds", "seed", "arms", "out", "episodes", "preset", "quick", "block")
+
+
+@dataclasses.dataclass(frozen=True)
+class Call:
+    """What a command line says beside an experiment's settings."""
+
+    part: str | None = setting(None, "which part of the experiment")
+    preset: str | None = setting(None, "whose settings are the defaults")
+    quick: bool = setting(False, "a look at everything in minutes")
+    out: Path | None = setting(None, "folder for the results")
+    resume: bool = setting(False, "go on with the run in that folder, bit for bit")
+    sweep: tyro.conf.UseAppendAction[tuple[str, ...]] = setting(
+        (), "FIELD=V,V,...: each arm with each value of a setting; several make a grid"
+    )
+    shard: str | None = setting(
+        None, "I/N: the I-th of N equal parts of the runs; `merge` puts them together"
+    )
+
+    @property
+    def shards(self) -> tuple[int, int]:
+        """``(I, N)``.
+
+        Raises:
+            ValueError: where it is not of that form.
+        """
+        number, _, of = (self.shard or "1/1").partition("/")
+        if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
+            raise ValueError(f"--shard is {self.shard}: give I/N with I from 1 to N")
+        return int(number), int(of)
+
+
+def called(argv: Sequence[str], prog: str) -> tuple[Call, list[str]]:
+    """What the command line says beside the settings, and what is left of it."""
+    return _quietly(
+        prog, argv, lambda: tyro.cli(Call, args=list(argv), prog=prog, return_unknown_args=True)
+    )
+
+
+def parse(default: O, argv: Sequence[str], prog: str) -> O:
+    """An experiment's settings.
+
+    Args:
+        default: where all start from.
+        argv: flags by dotted path.
+        prog: the command as the user types it.
+
+    Raises:
+        SystemExit: with code 2 and one line on bad input.
+    """
+    kind: Any = type(default)
+    for word in argv:
+        path = _path(word)
+        for decided, by in kind.decided.items():
+            if word.startswith("--") and path == decided:
+                fail(f"{word.partition('=')[0]} is decided by {by}: leave it out", prog)
+    config = (tyro.conf.SuppressFixed,)
+    return _quietly(
+        prog,
+        argv,
+        lambda: tyro.cli(kind, default=default, args=list(argv), prog=prog, config=config),
+    )
+
+
+def swept(options: Any, said: Sequence[str]) -> dict[str, list[Any]]:
+    """The grid of ``--sweep FIELD=V,V,...``: values by dotted path.
+
+    Raises:
+        ValueError: with what to change.
+    """
+    grid: dict[str, list[Any]] = {}
+    known = {leaf.path: leaf for leaf in fields.leaves(options)}
+    for one in said:
+        name, equals, values = one.partition("=")
+        path = _path(name)
+        if not equals or not values:
+            raise ValueError(f"--sweep {one}: give it as FIELD=V,V,...")
+        if path in NOT_SWEPT:
+            raise ValueError(f"--sweep {path} makes no sense: every run has the same")
+        if path in options.decided:
+            raise ValueError(f"--sweep {path}: it is decided by {options.decided[path]}")
+        if path not in known:
+            fields.value_at(options, path)  # names the closest
+            raise ValueError(f"--sweep {path}: name one setting of it")
+        if path in grid:
+            raise ValueError(f"--sweep {path} twice: give all its values at once")
+        grid[path] = [_value(known[path], text) for text in values.split(",")]
+        if len(set(grid[path])) < len(grid[path]):
+            raise ValueError(f"--sweep {one}: a value stands there twice")
+    return grid
+
+
+def _value(leaf: Leaf, text: str) -> Any:
+    """A setting's value as typed; numbers of a tuple are joined by x."""
+    hint = str(leaf.hint)
+    named = {getattr(choice, "__name__", str(choice)): choice for choice in leaf.choices}
+    words = {str(word): word for word in get_args(leaf.hint) if isinstance(word, str)}
+    if text in named or text in words:
+        return (named | words)[text]
+    if text == "None" and "None" in hint:
+        return None
+    if "bool" in hint and text in ("True", "False"):
+        return text == "True"
+    number = float if "float" in hint else int
+    with contextlib.suppress(ValueError):
+        if "tuple" in hint:
+            return tuple(number(part) for part in text.split("x"))
+        if "float" in hint or "int" in hint:
+            return number(text)
+    raise ValueError(f"--sweep {leaf.path}: {text} is no {hint.replace('<class ', '').strip('>')}")
+
+
+def help_text(prog: str, parts: Sequence[str], default: Any, everything: bool) -> str:
+    """What ``--help`` shows: the everyday settings; ``--help-all``: every one."""
+    width = min(shutil.get_terminal_size((100, 24)).columns, 100)
+    lines = [f"usage: {prog} [--part {{{','.join(parts)}}}] [--FLAG VALUE ...]", ""]
+    lines += textwrap.wrap(" ".join((type(default).__doc__ or "").split("\n\n")[0].split()), width)
+    for title, leaves in (("call", list(fields.leaves(Call()))), ("settings", _shown(default))):
+        lines += ["", f"{title}:"]
+        for leaf in leaves:
+            if leaf.everyday or everything or title == "call":
+                lines += _flag(leaf, width)
+    lines += [
+        "  --help, --help-all",
+        "      this; with all settings" if not everything else "      this",
+    ]
+    return "\n".join(lines)
+
+
+def _shown(default: Any) -> list[Leaf]:
+    hidden = (*default.decided, "preset", "quick")
+    return [
+        leaf
+        for leaf in fields.leaves(default)
+        if leaf.path not in hidden and not (callable(leaf.value) and not leaf.choices)
+    ]
+
+
+def _flag(leaf: Leaf, width: int) -> list[str]:
+    words = [str(word) for word in get_args(leaf.hint) if isinstance(word, str)]
+    value = fields.plain(leaf.value)
+    value = " ".join(map(str, value)) if isinstance(value, list) else value
+    value = f"  [{value}]" if value not in (None, "", False) else ""
+    choice = f" {{{','.join(words)}}}" if words else ""
+    head = f"  --{leaf.path.replace('_', '-')}{choice}{value}"
+    return [head, *textwrap.wrap(leaf.help, width - 6, initial_indent=" " * 6,
+                                 subsequent_indent=" " * 6)]  # fmt: skip
+
+
+def fail(message: str, prog: str) -> NoReturn:
+    """Ends the process with code 2 and one line."""
+    print(f"{prog}: error: {' '.join(message.split())}", file=sys.stderr)
+    raise SystemExit(2)
+
+
+def flag_of(error: SettingError, argv: Sequence[str]) -> str:
+    """The flag that was typed for a setting, or else that of its path."""
+    for word in argv:
+        path = _path(word)
+        if word.startswith("--") and (path == error.path or path.endswith(f".{error.path}")):
+            return word.partition("=")[0]
+    return f"--{error.path.replace('_', '-')}"
+
+
+def _quietly(prog: str, argv: Sequence[str], call: Any) -> Any:
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return call()
+    except SystemExit:
+        fail(_one_line(complaint.getvalue()), prog)
+    except SettingError as error:
+        fail(f"{flag_of(error, argv)} {error.said}", prog)
+    except (ValueError, TypeError) as error:
+        fail(str(error), prog)
+
+
+def _path(word: str) -> str:
+    return word.partition("=")[0].removeprefix("--").replace("-", "_")
+
+
+def _one_line(panel: str) -> str:
+    """The message inside a framed panel, up to its first rule."""
+    inside: list[str] = []
+    for line in panel.splitlines():
+        text = line.strip("│╭╮╰╯─ ")
+        if set(line) <= set("│─ ") and inside:
+            break
+        if line.startswith("│") and text:
+            inside.append(text)
+    return " ".join(inside) or " ".join(panel.split())
+
+
+def by_name(parts: Mapping[str, Any], name: str | None, prog: str) -> Any:
+    """The part that ``--part`` names; the first without."""
+    if name is not None and name not in parts:
+        fail(f"--part {name}: there is no such part; there are {', '.join(parts)}", prog)
+    return parts[name] if name is not None else next(iter(parts.values()))

@@ -1,0 +1,211 @@
+"""An experiment is data: what is filled in, and what is made of it. A study is a table of overrides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, Self
+
+from jaxdyna import fields
+from jaxdyna.experiments.engine.work import Arm, Curves
+from jaxdyna.fields import setting
+from jaxdyna.statistics import SolveRule
+
+Results = dict[str, Any]
+Overrides = Mapping[str, Any]
+Table = tuple[Sequence[str], Sequence[Sequence[str]]]
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """The settings that every experiment has; a world's own come with a subclass.
+
+    Attributes:
+        decided: by dotted path, which flag decides a setting instead: it is no flag of its own.
+    """
+
+    decided: ClassVar[Mapping[str, str]] = {}
+
+    preset: str = setting("tuned", "whose settings are the defaults")
+    quick: bool = setting(False, "whether it is a look at everything in minutes")
+    arms: tuple[str, ...] = setting((), "what is played, all by default", everyday=True)
+    seeds: int = setting(
+        10, "runs of every arm, computed together in blocks", at_least=1, everyday=True
+    )
+    seed: int = setting(0, "base seed of all runs", at_least=0, at_most=2**32 - 1, everyday=True)
+    episodes: int = setting(1000, "real episodes of a run at the most", at_least=1, everyday=True)
+    stop_after_solved: int | None = setting(
+        None, "real episodes that a run plays on once it has solved; None plays all", at_least=0,
+        everyday=True,
+    )  # fmt: skip
+    block: int = setting(
+        1, "runs computed together; a run's bits depend on this number and on nothing beside it",
+        at_least=1, everyday=True,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        fields.check(self)
+
+    def resolved(self) -> Self:
+        """With what other settings decide filled in. A subclass says how."""
+        return self
+
+
+class Record(NamedTuple):
+    """All that a report may read.
+
+    Attributes:
+        options: the experiment's, resolved.
+        results: what is in ``results.json``.
+        curves: arrays ``[runs, ...]`` by the names of the entries of ``results["arms"]``.
+        out: the folder for figures.
+    """
+
+    options: Any
+    results: Results
+    curves: Mapping[str, Curves]
+    out: Path
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One experiment.
+
+    Attributes:
+        name: of its part of the command line, and in ``results.json``.
+        title: of its report.
+        presets: options by name, the default one first.
+        arms: from options to what makes each arm, by its name, or ``NAME@SETTING`` where there are
+            several of one; only those asked for are made.
+        quick: by preset, what ``--quick`` changes.
+        rule: when a run counts as solved; None where nothing is solved.
+        describe: ``(options, curves) -> entries`` of an arm in ``results.json``.
+        measures: by name ``(options, say) -> JSON``: host work without runs.
+        sections: ``(record) -> Markdown``: the report's, in their order; each draws its figures.
+        summary: ``(record) -> tables with titles, and sentences`` for the terminal.
+        paper: the paper's own figures of ``episodes_to_solve``, by arm.
+        study: what its rows are made of, where it is a table of overrides.
+    """
+
+    name: str
+    title: str
+    presets: Mapping[str, Any]
+    arms: Callable[[Any], Mapping[str, Callable[[], Arm]]]
+    quick: Mapping[str, Overrides] = field(default_factory=dict)
+    rule: Callable[[Any], SolveRule] | None = None
+    describe: Sequence[Callable[[Any, Curves], Results]] = ()
+    measures: Mapping[str, Callable[[Any, Say], Any]] = field(default_factory=dict)
+    sections: Sequence[Callable[[Record], str]] = ()
+    summary: Callable[[Record], Sequence[tuple[str, Table] | str]] = lambda record: ()
+    paper: Mapping[str, float] = field(default_factory=dict)
+    study: Study | None = None
+
+
+class Study(NamedTuple):
+    """A table of overrides: one arm of an experiment, changed in each row.
+
+    Attributes:
+        name: of its part of the command line.
+        title: of its report.
+        of: the experiment.
+        preset: whose settings are changed.
+        rows: by name, what is changed, by dotted path; ``"arm"`` names another arm than ``arm``. The
+            first is what the others are compared with.
+        sections: as an experiment's.
+        common: what is changed in all rows, and can be set otherwise on the command line.
+        arm: that is played.
+        column: which figure of an arm the tables are of.
+        describe: beside the experiment's.
+        quick: what ``--quick`` changes.
+    """
+
+    name: str
+    title: str
+    of: Experiment
+    preset: str
+    rows: Callable[[Any], Mapping[str, Overrides]]
+    sections: Sequence[Callable[[Record], str]] = ()
+    common: Overrides = {}
+    arm: str = "dyna"
+    column: str = "episodes_to_solve"
+    describe: Sequence[Callable[[Any, Curves], Results]] = ()
+    summary: Callable[[Record], Sequence[tuple[str, Table] | str]] = lambda record: ()
+    quick: Overrides = {}
+
+    def experiment(self) -> Experiment:
+        """The experiment whose arms are the rows."""
+        base = fields.changed(self.of.presets[self.preset], {"arms": (), **self.common})
+
+        def arms(options: Any) -> Mapping[str, Callable[[], Arm]]:
+            return {
+                name: lambda row=row: self.made(options, row)
+                for name, row in self.rows(options).items()
+            }
+
+        return replace(
+            self.of, name=self.name, title=self.title, presets={self.preset: base}, arms=arms,
+            quick={self.preset: self.quick}, describe=(*self.of.describe, *self.describe),
+            measures={}, sections=self.sections, summary=self.summary, study=self,
+        )  # fmt: skip
+
+    def made(self, options: Any, row: Overrides) -> Arm:
+        """The arm of a row."""
+        name = row.get("arm", self.arm)
+        overrides = {path: value for path, value in row.items() if path != "arm"}
+        setup = fields.changed(options, overrides | {"arms": (name,)}).resolved()
+        return self.of.arms(setup)[name]()
+
+
+class Entry(NamedTuple):
+    """What is an entry of ``results["arms"]``: an arm in a setting.
+
+    Attributes:
+        name: of the entry.
+        arm: its name alone.
+        setting: the rest of it, None where there is none.
+        make: makes it.
+    """
+
+    name: str
+    arm: str
+    setting: str | None
+    make: Callable[[], Arm]
+
+
+def entries(
+    experiment: Experiment, options: Any, sweep: Mapping[str, Sequence[Any]]
+) -> list[Entry]:
+    """The entries that are asked for, swept over a grid of settings by dotted path.
+
+    Raises:
+        ValueError: where there is no such arm.
+    """
+    made: list[Entry] = []
+    grid = [dict(zip(sweep, values, strict=True)) for values in product(*sweep.values())]
+    names = experiment.arms(options)
+    asked = options.arms or tuple(names)
+    known = {name for arm in names for name in (arm, arm.partition("@")[0])}
+    if unknown := [name for name in asked if name not in known]:
+        raise ValueError(f"there is no arm {unknown[0]}; there are: {'; '.join(sorted(known))}")
+    for ask in dict.fromkeys(asked):
+        for name in (name for name in names if ask in (name, name.partition("@")[0])):
+            arm, _, stage = name.partition("@")
+            for point in grid:
+                swept = ",".join(f"{path}={_said(value)}" for path, value in point.items())
+                where = ",".join(part for part in (stage, swept) if part)
+                full = f"{arm}@{where}" if where else arm
+                make = names[name]
+                if point:
+                    setup = fields.changed(options, point).resolved()
+                    make = experiment.arms(setup)[name]
+                made.append(Entry(full, arm, where or None, make))
+    return list({entry.name: entry for entry in made}.values())
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, tuple):
+        return "x".join(map(_said, value))
+    return f"{value:g}" if isinstance(value, float) else str(fields.plain(value))

@@ -1,0 +1,47 @@
+"""The bars in the terminal: an arm each, what runs and how long is left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+
+class Bars(Progress):
+    """A bar for each arm, in units of a run.
+
+    Args:
+        console: where they are drawn.
+        totals: units of each at the most, and its runs.
+    """
+
+    def __init__(self, console: Console, totals: Mapping[str, tuple[int, int]]):
+        super().__init__(
+            TextColumn("{task.description}"), BarColumn(bar_width=20), MofNCompleteColumn(),
+            TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}"), console=console, speed_estimate_period=120,
+        )  # fmt: skip
+        self._runs = {name: runs for name, (_, runs) in totals.items()}
+        self._bars = {
+            name: self.add_task(name, total=units, note="waiting", start=False)
+            for name, (units, _) in totals.items()
+        }
+
+    def tell(self, name: str, stage: str, done: int, over: int) -> None:
+        """How far an arm is; its clock starts with the first unit."""
+        bar = self._bars[name]
+        if stage == "running" and not self.tasks[bar].started:
+            self.start_task(bar)
+        note = f"{over}/{self._runs[name]} runs over" if stage == "running" else stage
+        self.update(bar, completed=done, note=note)
+        if stage == "done":
+            self.update(bar, total=max(done, 1))
+            self.stop_task(bar)

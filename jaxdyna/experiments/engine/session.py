@@ -1,0 +1,450 @@
+"""From the command line to the report: the same for every experiment."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import shutil
+import signal
+import sys
+import time
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from rich.console import Console
+
+from jaxdyna import fields
+from jaxdyna.experiments.engine import cli
+from jaxdyna.experiments.engine.checkpoint import Store
+from jaxdyna.experiments.engine.experiment import (
+    Entry,
+    Experiment,
+    Record,
+    Results,
+    Study,
+    entries,
+)
+from jaxdyna.experiments.engine.progress import Bars
+from jaxdyna.experiments.engine.storage import (
+    provenance,
+    read_curves,
+    read_json,
+    set_aside,
+    write_curves,
+    write_json,
+    write_text,
+)
+from jaxdyna.experiments.engine.work import (
+    Arm,
+    Curves,
+    Engine,
+    InputError,
+    Interrupted,
+    Over,
+    Runs,
+    joined,
+    runs_of,
+)
+from jaxdyna.experiments.report.summaries import compare, describe_arm
+from jaxdyna.experiments.report.tables import print_table
+from jaxdyna.fields import SettingError
+from jaxdyna.statistics import episodes_to_solve
+
+NOT_SETTINGS = ("arms",)
+
+
+def main(
+    *parts: Experiment | Study, argv: Sequence[str] | None = None, prog: str | None = None
+) -> int:
+    """Runs an experiment from the command line.
+
+    Args:
+        parts: what ``--part`` chooses from by name; the first is the default.
+        argv: the arguments, by default the process's.
+        prog: the command as the user types it.
+
+    Returns:
+        The exit code: 0, 130 after Ctrl-C.
+
+    Raises:
+        SystemExit: with code 2 and one line on bad input, with 0 after ``--help``.
+    """
+    argv = list(sys.argv[1:] if argv is None else argv)
+    prog = prog or _prog()
+    try:
+        session = prepared(parts, argv, prog)
+        session.begin()
+    except SettingError as error:
+        cli.fail(f"{cli.flag_of(error, argv)} {error.said}", prog)
+    except (ValueError, ImportError) as error:
+        cli.fail(str(error), prog)
+    try:
+        return session.run()
+    except InputError as error:
+        cli.fail(str(error), prog)
+
+
+def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str) -> Session:
+    """The session that a command line asks for; nothing is played yet."""
+    asked = [word for word in argv if word not in ("--help", "-h", "--help-all")]
+    call, rest = cli.called(asked, prog)
+    chosen = cli.by_name({part.name: part for part in parts}, call.part, prog)
+    experiment = chosen.experiment() if isinstance(chosen, Study) else chosen
+    presets = experiment.presets
+    if call.preset is not None and call.preset not in presets:
+        cli.fail(f"--preset {call.preset}: there is no such preset; there are {', '.join(presets)}",
+                 prog)  # fmt: skip
+    preset = call.preset or next(iter(presets))
+    default = presets[preset]
+    if len(asked) < len(argv):
+        names = [part.name for part in parts]
+        print(cli.help_text(prog, names, default, everything="--help-all" in argv))
+        raise SystemExit(0)
+    if call.quick:
+        default = fields.changed(default, {**experiment.quick.get(preset, {}), "quick": True})
+    options = cli.parse(default, rest, prog).resolved()
+    sweep = cli.swept(options, call.sweep)
+    command = f"{prog} {shlex.join(word for word in argv if word != '--resume')}".strip()
+    first = call.part is None or call.part == parts[0].name
+    name = parts[0].name if first else f"{parts[0].name}-{experiment.name}"
+    out = call.out or Path("runs") / (f"{name}-{preset}" if first else name)
+    plays = entries(experiment, options, sweep)
+    return Session(
+        experiment, options, plays, out, command, call.resume, call.shards, sweep,
+        family=parts[0].name,
+    )  # fmt: skip
+
+
+def _prog() -> str:
+    spec = getattr(sys.modules["__main__"], "__spec__", None)
+    name = (spec.name if spec else Path(sys.argv[0]).name).removesuffix(".__main__")
+    return f"python -m {name}" if spec else f"python {name}"
+
+
+@dataclass
+class Session:
+    """Plays what is not finished, keeps what is on disk, and reports.
+
+    Attributes:
+        experiment: what is played.
+        options: its settings, resolved.
+        entries: of ``results["arms"]``, in their order.
+        out: the folder for the results.
+        command: as typed.
+        resume: whether to go on with what is there.
+        shard: ``(I, N)``.
+        sweep: values by dotted path.
+        family: the name of the experiment whose part this is.
+    """
+
+    experiment: Experiment
+    options: Any
+    entries: list[Entry]
+    out: Path
+    command: str
+    resume: bool = False
+    shard: tuple[int, int] = (1, 1)
+    sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    family: str = ""
+    console: Console = field(default_factory=lambda: Console(highlight=False))
+
+    def begin(self) -> None:
+        """Makes the arms, and takes up what is there or sets it aside.
+
+        Raises:
+            ValueError: with what to change.
+        """
+        self.began, self.earlier = time.perf_counter(), None
+        self.curves: dict[str, Curves] = {}
+        self.timing: dict[str, dict[str, float]] = {}
+        self.measured: dict[str, Any] = {}
+        self.earlier_s = 0.0
+        if not self.seeds:
+            raise ValueError("--shard has more parts than there are --seeds: give fewer")
+        self.arms = {entry.name: entry.make() for entry in self.entries}
+        if self.resume:
+            self._take_up()
+        _check_writable(self.out)
+        if not self.resume:
+            set_aside(self.out)
+        self.checkpoints.mkdir(exist_ok=True)
+        write_json(self.checkpoints / "settings.json", self._identity())
+
+    def run(self) -> int:
+        """Plays and reports; returns the exit code: 0, 130 after Ctrl-C.
+
+        Raises:
+            InputError: where something in mid-run is the user's to mend.
+        """
+        code, engine = 0, Engine()
+        try:
+            with _deferred_interrupt(engine):
+                self._measure()
+                self._play(engine, self.arms)
+            shutil.rmtree(self.checkpoints, ignore_errors=True)
+        except jax.errors.JaxRuntimeError as error:
+            if "RESOURCE_EXHAUSTED" not in str(error):
+                raise
+            raise InputError("out of memory: lower --block, --seeds or --episodes") from None
+        except KeyboardInterrupt:
+            code = 130
+            self.console.print(
+                f"Interrupted. What is finished is in {self.out}; "
+                "the same command with --resume goes on."
+            )
+        if self.curves or self.measured:
+            self._report()
+        return code
+
+    @property
+    def checkpoints(self) -> Path:
+        """Where they lie until all is finished."""
+        return self.out / "checkpoints"
+
+    @property
+    def seeds(self) -> list[int]:
+        """The global numbers of the runs that are played."""
+        number, of = self.shard
+        return list(range(number - 1, self.options.seeds, of))
+
+    def _play(self, engine: Engine, arms: Mapping[str, Arm]) -> None:
+        """Plays the entries that are not finished: those of one arm that are one work together, as
+        one axis of runs.
+        """
+        left = [entry for entry in self.entries if entry.name not in self.curves]
+        groups = [
+            list(group)
+            for _, group in groupby(left, lambda entry: (entry.arm, arms[entry.name].work))
+        ]
+        names = [group[0].name if len(group) == 1 else group[0].arm for group in groups]
+        totals = {
+            name: (max(arms[entry.name].units for entry in group), len(group) * len(self.seeds))
+            for name, group in zip(names, groups, strict=True)
+        }
+        with Bars(self.console, totals) as bars:
+            for name, group in zip(names, groups, strict=True):
+                played = [arms[entry.name] for entry in group]
+                runs = runs_of(played, self.seeds, self.options.seed)
+                store = Store(self.checkpoints / _identifier(name, runs))
+                done = engine.play(
+                    played[0].work, runs, self._over(), store,
+                    lambda *said, name=name: bars.tell(name, *said),
+                )  # fmt: skip
+                length = max((len(run.get("real_return", ())) for run in done.curves), default=0)
+                bars.tell(name, "done", length or totals[name][0], len(done.curves))
+                each = len(self.seeds)
+                for number, entry in enumerate(group):
+                    rows = slice(number * each, (number + 1) * each)
+                    self.curves[entry.name] = joined(done.curves[rows])
+                self.timing[name] = done.seconds._asdict()
+                del done  # before the next arm's are made
+                self._write()
+
+    def _over(self) -> Over | None:
+        """When a run is over: so many episodes after it has solved."""
+        rule, stop = self.experiment.rule, self.options.stop_after_solved
+        if rule is None or stop is None:
+            return None
+        solves = rule(self.options)
+
+        def over(curves: Curves) -> np.ndarray:
+            played = curves["real_return"].shape[1]
+            return played >= episodes_to_solve(solves.score(curves), solves) + stop
+
+        return over
+
+    def _measure(self) -> None:
+        """What the host measures, unless an earlier run has it."""
+        path = self.checkpoints / "measured.json"
+        before = (read_json(path) or {}) if self.resume else {}
+        self.measured |= before
+        for name, measure in self.experiment.measures.items():
+            if name not in self.measured:
+                began = time.perf_counter()
+                found = measure(self.options, self.console.print)
+                seconds = {"measure_s": time.perf_counter() - began}
+                self.measured[name] = json.loads(json.dumps(found))
+                self.timing[name] = seconds
+                write_json(path, self.measured)
+
+    def _identity(self) -> Results:
+        """What a resumed run must have in common with the one that it resumes."""
+        settings = fields.plain(self.options)
+        return {
+            "experiment": self.family,
+            "part": self.experiment.name,
+            "shard": list(self.shard),
+            "sweep": fields.plain(dict(self.sweep)),
+            "config": {name: value for name, value in settings.items() if name not in NOT_SETTINGS},
+        }
+
+    def _take_up(self) -> None:
+        """Reads what an earlier run with the same settings finished.
+
+        Raises:
+            ValueError: where there is no such run.
+        """
+        begun = read_json(self.checkpoints / "settings.json")
+        results = read_json(self.out / "results.json")
+        finished = results and {
+            **{name: results.get(name) for name in ("experiment", "part", "sweep")},
+            "shard": results["runs"]["shard"],
+            "config": {k: v for k, v in results["config"].items() if k not in NOT_SETTINGS},
+        }
+        before, now = begun or finished, self._identity()
+        if before is None:
+            raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
+        differ = [name for name in now if name != "config" and before.get(name) != now[name]]
+        differ += _different(before["config"], now["config"])
+        if differ:
+            flags = ", ".join(f"--{name.replace('_', '-')}" for name in differ)
+            raise ValueError(
+                f"the run in {self.out} had other settings for {flags}: resume with the same, or "
+                "choose another --out"
+            )
+        if not finished or _different(finished["config"], now["config"]):
+            return
+        self.earlier = results
+        self.earlier_s = results["timing"]["total_s"]
+        self.timing = results["timing"]["arms"]
+        self.measured = {
+            name: results[name] for name in self.experiment.measures if name in results
+        }
+        if results["command"] != self.command:
+            self.command = f"{results['command']} && {self.command} --resume"
+        self.curves = read_curves(self.out / "curves.npz")
+
+    def _write(self) -> None:
+        ordered = [entry.name for entry in self.entries]
+        names = [name for name in (*ordered, *self.curves) if name in self.curves]
+        self.curves = {name: self.curves[name] for name in dict.fromkeys(names)}
+        write_curves(self.out / "curves.npz", self.curves)
+        timing = {"arms": self.timing, "total_s": self.earlier_s + time.perf_counter() - self.began}
+        self.results = results_of(
+            self.experiment,
+            self.options,
+            self.curves,
+            {
+                "experiment": self.family,
+                "part": self.experiment.name,
+                "command": self.command,
+                **provenance(self.earlier),
+                "runs": {
+                    "seeds": self.seeds, "of": self.options.seeds, "shard": list(self.shard),
+                    "block": self.options.block,
+                },
+                "sweep": fields.plain(dict(self.sweep)),
+                "timing": timing,
+                **self.measured,
+            },
+        )  # fmt: skip
+        write_json(self.out / "results.json", self.results)
+
+    def _report(self) -> None:
+        self._write()
+        record = Record(self.options, self.results, self.curves, self.out)
+        write_report(self.experiment, record)
+        for said in self.experiment.summary(record):
+            if isinstance(said, str):
+                self.console.print(said.replace("**", ""))
+            else:
+                print_table(self.console, said[0], *said[1])
+        self.console.print(f"Report: {self.out / 'report.md'}")
+
+
+def results_of(
+    experiment: Experiment, options: Any, curves: Mapping[str, Curves], about: Results
+) -> Results:
+    """What is in ``results.json``: a pure function of curves, settings and what is said about them."""
+    rule = experiment.rule(options) if experiment.rule else None
+    arms: Results = {}
+    for name, values in curves.items():
+        arm, _, where = name.partition("@")
+        said: Results = {"arm": arm, "setting": where} if where else {}
+        if rule is not None and "real_return" in values:
+            said |= describe_arm(values, rule, options.episodes)
+        for describe in experiment.describe:
+            said |= describe(options, values)
+        arms[name] = said
+    spent = about["timing"]["arms"].values()
+    total = {part: sum(one.get(part, 0.0) for one in spent) for part in ("compile_s", "run_s")}
+    timing = total | {"shards": 1} | about["timing"]
+    config = fields.plain(options) | {"arms": list(curves)}
+    results = about | {"preset": options.preset, "config": config, "timing": timing, "arms": arms}
+    if rule is not None:
+        results["ratio_to_model_free"] = compare(arms, "model_free")
+    return results
+
+
+def write_report(experiment: Experiment, record: Record) -> None:
+    """Writes ``report.md`` and its figures."""
+    head = [f"# {experiment.title}", f"`{record.results['command']}`"]
+    parts = [*head, *(section(record) for section in experiment.sections)]
+    text = "\n\n".join(part.strip("\n") for part in parts if part) + "\n"
+    write_text(record.out / "report.md", text)
+
+
+def _identifier(name: str, runs: Runs) -> str:
+    """A folder's name for the checkpoints of just these runs."""
+    digest = zlib.crc32(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in
+                                 jax.tree.leaves((runs.seed, runs.hparams, runs.units))))  # fmt: skip
+    safe = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in name)
+    return f"{safe}-{digest:08x}"
+
+
+def _different(before: Results, now: Results, prefix: str = "") -> list[str]:
+    """Paths of the settings that differ; ones that did not exist then are as they were."""
+    paths = []
+    for name, value in now.items():
+        if name not in before or before[name] == value:
+            continue
+        nested = isinstance(value, dict) and isinstance(before[name], dict)
+        paths += (
+            _different(before[name], value, f"{prefix}{name}.") if nested else [f"{prefix}{name}"]
+        )
+    return paths
+
+
+def _check_writable(folder: Path) -> None:
+    """Makes the folder and tries it, before an hour's work is lost for want of it."""
+    probe = folder / f".probe-{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        raise ValueError(
+            f"cannot write to --out {folder} ({error.strerror}): choose another folder"
+        ) from None
+
+
+@contextmanager
+def _deferred_interrupt(engine: Engine) -> Iterator[None]:
+    """Ctrl-C lets the pieces in progress end and be saved; a second one interrupts at once. Outside
+    the main thread it does nothing.
+    """
+
+    def receive(signum: int, frame: Any) -> None:
+        if engine.interrupted.is_set():
+            raise KeyboardInterrupt
+        engine.interrupted.set()
+
+    try:
+        before = signal.signal(signal.SIGINT, receive)
+    except ValueError:  # not the main thread
+        yield
+        return
+    try:
+        yield
+        if engine.interrupted.is_set():
+            raise Interrupted
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,466 @@
+"""What an engine plays: work in units, by many runs, in blocks that are computed together.
+
+A run is a seed of a setting. Its numbers come from its own key, hyper-parameters and data, and from
+the size of its block alone: not from who is computed beside it, nor where, nor from what was played
+before. Every block is played by the one program that was compiled for its size; on a CPU by as many
+threads as there are cores, elsewhere on every device in turn.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from queue import SimpleQueue
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdyna.experiments.engine.checkpoint import Kept, Store
+from jaxdyna.sweep import over_runs
+from jaxdyna.types import Key
+
+Curves = dict[str, np.ndarray]
+Over = Callable[[Curves], np.ndarray]
+"""From what runs have come to, ``[runs, units]``, to whether they are over, bool ``[runs]``."""
+
+SHOWN = "show_"
+"""Arrays that are kept of the first run alone begin so; they have no axis of runs."""
+JUDGING = 2**32 - 1
+"""Folded into the base seed's key: the runs' own keys are its first splits."""
+
+
+class Work(NamedTuple):
+    """What is played, all of it pure functions of one run. The same functions are the same program.
+
+    Attributes:
+        init: ``(key, hparams) -> state``: a run before its first unit.
+        step: ``(state, data, unit, hparams) -> (state, metrics)``: the unit numbered ``unit`` (from
+            0), such as a real episode or a gradient step; metrics are float arrays by name. It may
+            use the axis `jaxdyna.sweep.RUNS`, along which runs are computed together.
+        data: ``(key, hparams) -> data``: a run's fixed input, made again on resume instead of saved;
+            None for none. It gets the key that ``init`` gets.
+        collect: ``(seeds, seed) -> data`` with the runs' axis in front: the same by the host, such
+            as an emulator's episodes, from the runs' numbers ``[runs]`` and the base seed.
+        judge: ``(state, data, key, hparams) -> arrays``: of a run that is over.
+        show: likewise of the first run alone: examples, films.
+        piece: units between two looks at the clock: a run is over at a multiple of it at the
+            earliest.
+        block: runs computed together.
+    """
+
+    init: Callable[[Key, Any], Any]
+    step: Callable[[Any, Any, jax.Array, Any], tuple[Any, dict[str, jax.Array]]]
+    data: Callable[[Key, Any], Any] | None = None
+    collect: Callable[[np.ndarray, int], Any] | None = None
+    judge: Callable[[Any, Any, Key, Any], dict[str, jax.Array]] | None = None
+    show: Callable[[Any, Any, Key, Any], dict[str, jax.Array]] | None = None
+    piece: int = 50
+    block: int = 1
+
+
+class Arm(NamedTuple):
+    """One side of a comparison. Arms that differ in hparams and units only share their program."""
+
+    work: Work
+    hparams: Any
+    units: int
+
+
+class Runs(NamedTuple):
+    """The one axis.
+
+    Attributes:
+        seed: global numbers ``[runs]``: run ``n`` of the base seed has the same keys in any company.
+        base: the base seed.
+        hparams: leaves ``[runs, ...]``.
+        units: the most that each plays, ``[runs]``.
+    """
+
+    seed: np.ndarray
+    base: int
+    hparams: Any
+    units: np.ndarray
+
+    @property
+    def keys(self) -> Key:
+        """The runs' keys."""
+        return _keys(jax.random.key(self.base), self.seed)
+
+    @property
+    def judging(self) -> Key:
+        """The keys of what is judged of them."""
+        return _keys(jax.random.fold_in(jax.random.key(self.base), JUDGING), self.seed)
+
+
+def _keys(key: Key, seed: np.ndarray) -> Key:
+    return jax.random.split(key, int(seed.max()) + 1)[seed]
+
+
+def runs_of(arms: Sequence[Arm], seeds: Sequence[int], base: int) -> Runs:
+    """Runs of these seeds for each of several arms of one work, arm by arm."""
+
+    def along(*values: Any) -> np.ndarray:
+        return np.repeat(np.stack([_array(value) for value in values]), len(seeds), axis=0)
+
+    return Runs(
+        seed=np.tile(np.asarray(seeds), len(arms)),
+        base=base,
+        hparams=jax.tree.map(along, *(arm.hparams for arm in arms)),
+        units=np.repeat([arm.units for arm in arms], len(seeds)),
+    )
+
+
+def _array(value: Any) -> np.ndarray:
+    """Single precision, as what Python numbers become where they meet single precision."""
+    array = np.asarray(value)
+    kinds = {"f": np.float32, "i": np.int32}
+    return array.astype(kinds.get(array.dtype.kind, array.dtype))
+
+
+class Seconds(NamedTuple):
+    """What playing took, by the clock on the wall: ``run_s`` with what was played before a resume."""
+
+    compile_s: float
+    run_s: float
+
+
+class Played(NamedTuple):
+    """What runs came to.
+
+    Attributes:
+        curves: a dictionary a run: metrics ``[units]``, what was judged, and of those with
+            seed 0 what is shown.
+        seconds: taken.
+    """
+
+    curves: list[Curves]
+    seconds: Seconds
+
+
+class InputError(ValueError):
+    """What a user can mend, found in mid-run; what was played is saved."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C; what was played is saved."""
+
+
+Progress = Callable[[str, int, int], None]
+"""``(stage, units done, runs over)``."""
+
+
+@dataclass
+class Engine:
+    """Plays works and keeps their programs.
+
+    Attributes:
+        workers: blocks that are played at a time; by default one a core, or one a device.
+        interrupted: set by Ctrl-C: every block is saved after its piece, then `Interrupted` raised.
+    """
+
+    workers: int = 0
+    interrupted: threading.Event = field(default_factory=threading.Event)
+    programs: dict[Any, _Program] = field(default_factory=dict)
+
+    def play(
+        self,
+        work: Work,
+        runs: Runs,
+        over: Over | None = None,
+        store: Store | None = None,
+        say: Progress = lambda *_: None,
+    ) -> Played:
+        """Plays runs to their ends.
+
+        Args:
+            work: what.
+            runs: whose; padded to whole blocks with copies.
+            over: when a run is over before its last unit; None never.
+            store: where checkpoints lie; None keeps none: a library call.
+            say: is told how far it is, from any thread.
+
+        Raises:
+            Interrupted: after Ctrl-C.
+        """
+        rows = np.arange(len(runs.seed))
+        blocks = [rows[first : first + work.block] for first in range(0, len(rows), work.block)]
+        say("compiling", 0, 0)
+        began = time.perf_counter()
+        where = places(self.workers)[: len(blocks)]
+        for place in set(where):
+            self._program(work, runs, place)
+        compile_s, began = time.perf_counter() - began, time.perf_counter()
+        collected = work.collect(runs.seed, runs.base) if work.collect else None
+        tally = _Tally(say, len(runs.seed), store.seconds() if store else 0.0)
+        free: SimpleQueue[Any] = SimpleQueue()
+        for place in where:
+            free.put(place)
+
+        def play_block(number: int) -> list[Curves]:
+            place = free.get()
+            try:
+                block = _Block(self, work, runs, blocks[number], place, over, tally)
+                return block.play(collected, store.block(number) if store else None)
+            except BaseException:
+                self.interrupted.set()
+                raise
+            finally:
+                free.put(place)
+
+        with ThreadPoolExecutor(len(where)) as pool:
+            futures = [pool.submit(play_block, number) for number in range(len(blocks))]
+        errors = [error for future in futures if (error := future.exception()) is not None]
+        if errors:
+            real = [error for error in errors if not isinstance(error, Interrupted)]
+            raise (real or errors)[0]
+        curves = [run for future in futures for run in future.result()]
+        return Played(curves, Seconds(compile_s, tally.seconds()))
+
+    def _program(self, work: Work, runs: Runs, place: jax.Device) -> _Program:
+        shapes = jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams)
+        known = (work, str(shapes), place)
+        if known not in self.programs:
+            self.programs[known] = _Program(work, runs, place)
+        return self.programs[known]
+
+
+def places(workers: int = 0) -> list[jax.Device]:
+    """The device of each worker: on a CPU as many as this process may use cores, on one device."""
+    devices = jax.devices()
+    if devices[0].platform == "cpu":
+        return [devices[0]] * (workers or cores())
+    return devices[: workers or len(devices)]
+
+
+class _Program:
+    """A work compiled for blocks of its size on one device."""
+
+    def __init__(self, work: Work, runs: Runs, place: jax.Device):
+        self.work, self.place, self.lock = work, place, threading.Lock()
+        keys, hparams = self.put(_shaped(work.block, (runs.keys, runs.hparams)))
+
+        def piece(state: Any, data: Any, first: jax.Array, count: jax.Array, hparams: Any) -> Any:
+            def one(state: Any, data: Any, hparams: Any) -> Any:
+                return _loop(work, state, data, first, count, hparams)
+
+            return over_runs(one, work.block)(state, data, hparams)
+
+        start = jax.jit(over_runs(work.init, work.block)).lower(keys, hparams)
+        state = start.out_info
+        data = None
+        self.data = None
+        if work.data is not None:
+            self.data = jax.jit(over_runs(work.data, work.block)).lower(keys, hparams)
+            data = self.data.out_info
+        if work.collect is not None:
+            one = work.collect(runs.seed[:1], runs.base)
+            data = _shaped(work.block, one)
+        state, data = self.put((state, data))
+        number = self.put(jax.ShapeDtypeStruct((), jnp.int32))
+        piece_of = jax.jit(piece, donate_argnums=0).lower(state, data, number, number, hparams)
+        with ThreadPoolExecutor(3) as pool:  # XLA compiles without Python's lock
+            programs = [start, piece_of, *([self.data] if self.data is not None else [])]
+            self.start, self.piece, *rest = pool.map(lambda lowered: lowered.compile(), programs)
+        self.data = rest[0] if rest else None
+        self.judging = {
+            name: jax.jit(call)
+            for name, call in (("judge", work.judge), ("show", work.show))
+            if call is not None
+        }
+        self.row = jax.jit(lambda tree, row: jax.tree.map(lambda leaf: leaf[row], tree))
+
+    def put(self, tree: Any) -> Any:
+        """Shapes on this program's device."""
+        where = jax.sharding.SingleDeviceSharding(self.place)
+        return jax.tree.map(
+            lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=where), tree
+        )
+
+
+def _shaped(block: int, tree: Any) -> Any:
+    return jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct((block, *leaf.shape[1:]), leaf.dtype), tree
+    )
+
+
+def _loop(work: Work, state: Any, data: Any, first: Any, count: Any, hparams: Any) -> Any:
+    """``count`` units from number ``first`` on, both traced, so that one program serves any number up
+    to `Work.piece`; metrics are ``[piece, ...]``, of which so many count.
+    """
+
+    def unit(number: jax.Array, carry: Any) -> Any:
+        state, kept = carry
+        state, new = work.step(state, data, first + number, hparams)
+        kept = jax.tree.map(lambda all_, one: all_.at[number].set(one), kept, new)
+        return state, kept
+
+    shapes = jax.eval_shape(lambda: work.step(state, data, first, hparams)[1])
+    kept = jax.tree.map(lambda one: jnp.zeros((work.piece, *one.shape), one.dtype), shapes)
+    return jax.lax.fori_loop(0, count, unit, (state, kept))
+
+
+class _Block:
+    """Runs that are computed together, from their first unit to the end of the last of them."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        work: Work,
+        runs: Runs,
+        rows: np.ndarray,
+        place: Any,
+        over: Over | None,
+        tally: _Tally,
+    ):
+        self.engine, self.work, self.runs, self.over, self.tally = engine, work, runs, over, tally
+        self.program = engine._program(work, runs, place)
+        padded = np.concatenate([rows, np.repeat(rows[:1], work.block - len(rows))])
+        self.rows, self.padded, self.place = rows, padded, place
+        self.hparams = self._put(jax.tree.map(lambda leaf: leaf[padded], runs.hparams))
+        self.judging = runs.judging
+        self.over_at: dict[int, Curves] = {}
+        self.done, self.pieces = 0, Curves()
+
+    def play(self, collected: Any, store: Any) -> list[Curves]:
+        """What each of its runs came to."""
+        kept: Kept | None = store.load() if store else None
+        if kept is not None:
+            self.done, self.pieces, self.over_at = kept.done, kept.metrics, kept.over
+            self.tally.add(self.done * len(self.rows), len(self.over_at))
+        if self._left():
+            self._play_on(collected, store, kept)
+        if store:
+            store.save(Kept(self.done, None, {}, self.over_at), self.tally.seconds())
+        return [self.over_at[row] for row in range(len(self.rows))]
+
+    def _left(self) -> list[int]:
+        return [row for row in range(len(self.rows)) if row not in self.over_at]
+
+    def _play_on(self, collected: Any, store: Any, kept: Kept | None) -> None:
+        keys, program = self._put(self.runs.keys[self.padded]), self.program
+        state = program.start(keys, self.hparams)
+        data = None
+        if program.data is not None:
+            data = program.data(self._put(self.runs.keys[self.padded]), self.hparams)
+        if collected is not None:
+            data = self._put(jax.tree.map(lambda leaf: leaf[self.padded], collected))
+        if kept is not None:
+            state = kept.into(state, self.place)
+        while self._left():
+            ends = [int(self.runs.units[self.rows[row]]) for row in self._left()]
+            count = min(self.work.piece - self.done % self.work.piece, min(ends) - self.done)
+            first, number = self._put((np.int32(self.done), np.int32(count)))
+            state, metrics = program.piece(state, data, first, number, self.hparams)
+            new = {name: np.asarray(values)[:, :count] for name, values in metrics.items()}
+            self.pieces = {
+                name: np.concatenate([self.pieces[name], values], axis=1) if self.done else values
+                for name, values in new.items()
+            }
+            self.done += count
+            ended = self._ended()
+            for row in ended:
+                self.over_at[row] = self._judged(row, state, data)
+            self.tally.add(count * len(self.rows), len(ended))
+            stop = self.engine.interrupted.is_set()
+            if store and self._left() and (stop or store.due()):
+                saved = Kept(self.done, state, self.pieces, self.over_at)
+                store.save(saved, self.tally.seconds())
+            if stop and self._left():
+                raise Interrupted
+
+    def _ended(self) -> list[int]:
+        """The rows of runs that have just come to their ends. Looked at after whole pieces and after
+        a run's own last unit only, so that it does not matter who else is in the block.
+        """
+        over = np.zeros(len(self.padded), bool)
+        if self.over is not None and self.done % self.work.piece == 0:
+            over = self.over(self.pieces)
+        units = self.runs.units[self.padded]
+        return [row for row in self._left() if over[row] or units[row] == self.done]
+
+    def _judged(self, row: int, state: Any, data: Any) -> Curves:
+        """The curves of a run up to now, and what is judged of it."""
+        first = self.runs.seed[self.rows[row]] == 0
+        curves = {
+            name: values[row]
+            for name, values in self.pieces.items()
+            if first or not name.startswith(SHOWN)
+        }
+        wanted = [name for name in self.program.judging if name == "judge" or first]
+        if not wanted:
+            return curves
+        own, own_data, hparams = self.program.row((state, data, self.hparams), row)
+        key = self.judging[self.rows[row]]
+        for name in wanted:
+            with self.program.lock:  # two threads would compile it twice
+                judged = self.program.judging[name](
+                    own, own_data, jax.random.fold_in(key, int(name == "show")), hparams
+                )
+            prefix = SHOWN if name == "show" else ""
+            curves |= {f"{prefix}{name}": np.asarray(values) for name, values in judged.items()}
+        return curves
+
+    def _put(self, tree: Any) -> Any:
+        return jax.device_put(tree, self.place)
+
+
+class _Tally:
+    """How far all blocks together are, told under a lock."""
+
+    def __init__(self, say: Progress, runs: int, earlier_s: float):
+        self.say, self.runs, self.earlier = say, runs, earlier_s
+        self.lock, self.done, self.over = threading.Lock(), 0, 0
+        self.began = time.perf_counter()
+
+    def add(self, units: int, over: int) -> None:
+        """So many units more, and runs that are over."""
+        with self.lock:
+            self.done, self.over = self.done + units, self.over + over
+            self.say("running", self.done // self.runs, self.over)
+
+    def seconds(self) -> float:
+        """Since the work began, with those before a resume."""
+        return self.earlier + time.perf_counter() - self.began
+
+
+def joined(curves: Sequence[Curves]) -> Curves:
+    """Arrays ``[runs, ...]`` of several runs, each filled up with NaN after its own end; what is
+    shown is the first's that has it.
+    """
+    arrays: Curves = {}
+    for name in dict.fromkeys(name for run in curves for name in run):
+        values = [np.asarray(run[name]) for run in curves if name in run]
+        arrays[name] = values[0] if name.startswith(SHOWN) else _filled(values)
+    return arrays
+
+
+def _filled(values: Sequence[np.ndarray]) -> np.ndarray:
+    """Stacked; shorter ones are filled up with NaN."""
+    longest = max((len(one) for one in values if one.ndim), default=0)
+    if all(one.ndim == 0 or len(one) == longest for one in values):
+        return np.stack(values)
+    kind = np.result_type(*values, np.float32) if values[0].dtype.kind != "f" else values[0].dtype
+    filled = np.full((len(values), longest, *values[0].shape[1:]), np.nan, kind)
+    for row, one in zip(filled, values, strict=True):
+        row[: len(one)] = one
+    return filled
+
+
+def cores() -> int:
+    """CPU cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def take(curves: Mapping[str, np.ndarray], rows: slice) -> Curves:
+    """Some of the runs."""
+    return {
+        name: values if name.startswith(SHOWN) else values[rows] for name, values in curves.items()
+    }

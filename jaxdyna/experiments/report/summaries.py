@@ -1,0 +1,157 @@
+"""What runs say together: an arm's figures of ``results.json``, ratios of arms, sentences."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+
+import numpy as np
+
+from jaxdyna.experiments.report.tables import Results, interval
+from jaxdyna.statistics import (
+    SolveRule,
+    bootstrap_interval,
+    episodes_to_solve,
+    ratio_of_means,
+    steps_before,
+    summarise,
+)
+
+Curves = Mapping[str, np.ndarray]
+FIRST_DREAMS = 100
+HELD_EPISODES = 50
+UNITS = {
+    "episodes_to_solve": "episodes",
+    "real_steps_to_solve": "real steps before the solving window",
+}
+
+
+def describe_arm(curves: Curves, rule: SolveRule, budget: int) -> Results:
+    """The figures of one arm.
+
+    Args:
+        curves: ``real_return`` and ``real_length``, ``[runs, episodes]``, NaN after a run's own end,
+            and others.
+        rule: when a run counts as solved.
+        budget: real episodes of a run at the most.
+    """
+    score, returns = rule.score(curves), curves["real_return"]
+    solved_at = episodes_to_solve(score, rule)
+    first = solved_at - rule.window + 1
+    solved = np.isfinite(solved_at)
+    steps = steps_before(curves["real_length"], first)
+    played = np.isfinite(returns).sum(-1)
+    held = last_mean(score, HELD_EPISODES)
+    return {
+        "episodes_to_solve": summarise(solved_at, at_least=budget),
+        "first_solved": summarise(first, at_least=max(budget - rule.window + 1, 1)),
+        "real_steps_to_solve": summarise(steps, at_least=np.nansum(curves["real_length"], -1)),
+        "first_at_threshold": summarise(_first_at(score, rule.level), at_least=budget),
+        "final_return": summarise(last_mean(returns, rule.window), solved),
+        "solved_and_held": int((solved & (held >= rule.level)).sum()),
+        "episodes_played": {"mean": float(played.mean()), "per_seed": played.tolist()},
+        "solve_rule": str(rule),
+    }
+
+
+def last_mean(values: np.ndarray, window: int) -> np.ndarray:
+    """The mean of each run's own last entries, ``[runs]``, of ``[runs, episodes]`` that are NaN after
+    a run's end.
+    """
+    ends = np.isfinite(values).sum(-1)
+    numbers = np.arange(values.shape[-1])
+    last = (numbers < ends[:, None]) & (numbers >= ends[:, None] - window)
+    return np.where(last, values, 0).sum(-1) / np.maximum(last.sum(-1), 1)
+
+
+def mean_of_runs(values: np.ndarray) -> Results:
+    """``mean``, ``ci95`` and ``per_seed`` of one number a run; None of what is not finite."""
+    known = values[np.isfinite(values)]
+    return {
+        "mean": float(known.mean()) if len(known) else None,
+        "ci95": bootstrap_interval(known, lambda rows: rows.mean(-1)),
+        "per_seed": [float(value) if np.isfinite(value) else None for value in values],
+    }
+
+
+def by_class(names: Mapping[str, object], values: np.ndarray) -> Results:
+    """`mean_of_runs` of each column of ``[runs, classes]``."""
+    return {name: mean_of_runs(column) for name, column in zip(names, values.T, strict=True)}
+
+
+def _first_at(returns: np.ndarray, threshold: float) -> np.ndarray:
+    """Number of the first single episode at or above the threshold, infinity without one."""
+    reached = returns >= threshold
+    return np.where(reached.any(1), reached.argmax(1) + 1.0, np.inf)
+
+
+def first_dreams(curves: Curves, real_first: int) -> Results:
+    """Medians of fake and real return and length over runs and the `FIRST_DREAMS` episodes from real
+    episode ``real_first``; empty for an arm without dreams, NaN where none took place.
+    """
+    if "fake_length" not in curves:
+        return {}
+    start = max(real_first - 1, 0)
+    after = slice(start, start + FIRST_DREAMS)
+    with warnings.catch_warnings(action="ignore"):
+        return {
+            name: float(np.nanmedian(curves[name][:, after]))
+            for name in ("fake_return", "real_return", "fake_length", "real_length")
+        }
+
+
+def compare(arms: Results, baseline: str, figure: str = "episodes_to_solve") -> Results:
+    """Ratio of each arm's mean of a figure of `describe_arm` to the baseline's, with its interval;
+    an unsolved run of the baseline counts as the least that it can have needed.
+    """
+    if baseline not in arms:
+        return {}
+    denominator = _per_seed(arms[baseline][figure])
+    unsolved = ~np.isfinite(denominator)
+    known = denominator[~unsolved].sum()
+    least = arms[baseline][figure]["restricted_mean"] * len(denominator) - known
+    at_least = least / max(unsolved.sum(), 1)
+    return {
+        name: ratio_of_means(_per_seed(arm[figure]), denominator, at_least)
+        for name, arm in arms.items()
+        if name != baseline and figure in arm
+    }
+
+
+def comparison(
+    results: Results,
+    paper: Mapping[str, float],
+    baseline: str = "model_free",
+    figure: str = "episodes_to_solve",
+) -> list[str]:
+    """The ratios to a baseline in words, a line an arm, the paper's own beside those it gives."""
+    lines, unknown = [], []
+    for name, ratio in compare(results["arms"], baseline, figure).items():
+        if ratio["ratio"] is None:
+            unknown.append(name)
+            continue
+        said = f"; the paper's is {paper[name]:.2g}" if name in paper else ""
+        most = "at most " if ratio["bound"] else ""
+        why = f", because {baseline} has unsolved runs" if ratio["bound"] else ""
+        lines.append(
+            f"{name} needs {most}**{ratio['ratio']:.2f}** of {baseline}'s {UNITS[figure]}{why} "
+            f"(95% interval {interval(ratio['ci95'], 2)}{said})."
+        )
+    if unknown:
+        arms = ", ".join(unknown)
+        lines.append(f"Not all runs of {arms} solved: ratios to {baseline} are unknown.")
+    return lines
+
+
+def comparisons(
+    results: Results, paper: Mapping[str, float], figure: str = "episodes_to_solve"
+) -> list[str]:
+    """The ratios to ``model_free``, and of our dreams to as many updates without them."""
+    arms = results["arms"]
+    both = {name: arms[name] for name in ("dyna", "more_updates") if name in arms}
+    lines = comparison(results, paper, figure=figure)
+    return lines + comparison({"arms": both}, {}, "more_updates", figure)
+
+
+def _per_seed(summary: Results) -> np.ndarray:
+    return np.array([np.inf if value is None else value for value in summary["per_seed"]])

@@ -1,0 +1,148 @@
+"""The arms that every comparison is made of, each from the same parts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+import jax
+
+from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, DynaState, make_init, make_step
+from jaxdyna.experiments.engine import Arm, Work
+from jaxdyna.sweep import RUNS
+from jaxdyna.types import Agent, Key
+
+Made = Callable[[], Arm]
+Judged = Callable[[Dyna, DynaConfig, DynaState, Key, DynaHParams], dict[str, jax.Array]]
+"""``(dyna, config, state, key, hparams) -> arrays`` of a run that is over."""
+
+SAID = {
+    "model_free": "the agent alone.",
+    "dyna": "with fake episodes from the model that it learns.",
+    "placebo": "the same dreams from a model that is never trained.",
+    "oracle": "the same dreams in the true environment, from where those of `dyna` begin.",
+    "more_updates": "as many updates as `dyna` at the same times, all of them on real steps.",
+    "max_updates": "`dyna`'s late rate of updates from the first episode on, on real steps alone.",
+}
+"""What the standard arms are."""
+ABSENT = (
+    "`more_updates` and `max_updates` are absent: REINFORCE learns from an episode once, on the "
+    "policy that played it, so that there are no further updates on old real steps."
+)
+
+
+class Hooks(NamedTuple):
+    """What an experiment wants to know of its arms' runs.
+
+    Attributes:
+        judge: of every run that is over.
+        show: of the first one.
+        piece: see `Work`.
+        block: see `Work`.
+    """
+
+    judge: Judged | None = None
+    show: Judged | None = None
+    piece: int = 50
+    block: int = 1
+
+
+@cache
+def dyna_work(dyna: Dyna, config: DynaConfig, hooks: Hooks) -> Work:
+    """A run of Dyna as work, whose unit is a real episode."""
+    step = make_step(dyna, config, (RUNS,))
+
+    def told(judged: Judged | None) -> Any:
+        if judged is None:
+            return None
+        return lambda state, _, key, hparams: judged(dyna, config, state, key, hparams)
+
+    return Work(
+        init=make_init(dyna, config),
+        step=lambda state, _, episode, hparams: step(state, episode, hparams),
+        judge=told(hooks.judge), show=told(hooks.show), piece=hooks.piece, block=hooks.block,
+    )  # fmt: skip
+
+
+def dyna_arm(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, hooks: Hooks) -> Arm:
+    """An arm of Dyna."""
+    return Arm(dyna_work(dyna, config, hooks), hparams, config.num_episodes)
+
+
+def standard_arms(
+    dyna: Dyna,
+    config: DynaConfig,
+    hparams: DynaHParams,
+    truth: Dream | None,
+    hooks: Hooks,
+    *,
+    replays: bool = True,
+    untrained: Mapping[str, Any] | None = None,
+    real_only: Callable[[Any], Any] | None = None,
+    busier: Agent | None = None,
+) -> dict[str, Made]:
+    """What makes each of the standard arms, by name; see `SAID`.
+
+    Args:
+        dyna: the parts of ``dyna``.
+        config: its counts.
+        hparams: its values.
+        truth: the oracle's dreams; None where the true environment cannot be had.
+        hooks: what is wanted of the runs.
+        replays: whether the oracle's dreams begin in the replay, which then is kept for it.
+        untrained: what the placebo changes in ``hparams`` beside the model's training.
+        real_only: from the agent's hparams to those with which it learns from real steps alone;
+            None where an agent cannot learn from old ones.
+        busier: the agent with the updates after dreams made after real episodes.
+    """
+    make = partial(partial, dyna_arm, hooks=hooks)
+    never = {"model_trains": False, "disagreement_threshold": math.inf}
+    dreaming = replace(hparams, **never | dict(untrained or {}))
+    alone = dyna._replace(model=None, dream=None, diagnose=None)
+    arms: dict[str, Made] = {
+        "model_free": make(alone, config, hparams),
+        "dyna": make(dyna, config, hparams),
+        "placebo": make(dyna, replace(config, rest_when_safe=False), dreaming),
+    }
+    if truth is not None:
+        keeping = dyna._replace(diagnose=None) if replays else alone
+        arms["oracle"] = make(keeping._replace(dream=truth), replace(config, model_updates=0),
+                              hparams)  # fmt: skip
+    if real_only is not None:
+        all_real = replace(hparams, **never, agent=real_only(hparams.agent))
+        arms["more_updates"] = make(dyna._replace(diagnose=None), config, all_real)
+    if busier is not None:
+        arms["max_updates"] = make(alone._replace(agent=busier), config, hparams)
+    return arms
+
+
+def greedy(hparams: Any) -> Any:
+    """A DQN's hparams without exploration."""
+    return replace(hparams, epsilon_first=0.0, epsilon_last=0.0)
+
+
+def real_steps(hparams: Any) -> Any:
+    """A DQN's hparams with which it learns from real steps alone."""
+    return replace(hparams, fake_share=0.0)
+
+
+def busy(config: Any) -> Any:
+    """A DQN's config that makes the updates after fake episodes after real ones as well."""
+    return replace(config, updates=config.updates + config.fake_updates)
+
+
+def sized(config: Any, dyna: DynaConfig) -> Any:
+    """A DQN's config with room for what a run can add to its replays and no more."""
+    steps = dyna.dream_steps or dyna.num_steps
+    dreams = dyna.dream_updates * dyna.dream_episodes
+    fake = max(config.fake_capacity, dreams * steps)
+    return replace(
+        config,
+        capacity=max(min(config.capacity, dyna.num_episodes * dyna.num_steps), dyna.num_steps),
+        episodes=min(config.episodes, dyna.num_episodes),
+        fake_capacity=fake,
+        fake_episodes=max(config.fake_episodes, fake // steps, dreams),
+    )

@@ -1,0 +1,382 @@
+"""Settings declared once: default, a sentence, range, and whether they are everyday ones.
+
+A setting is a field of a dataclass (frozen, or ``flax.struct``) made by `setting`. Its declaration
+is what library checks, command lines, ``--help`` and a report's table of settings read. Settings
+nest, and are named by dotted paths: ``"dyna.num_real_first"``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache, partial
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+T = TypeVar("T")
+MISSING = dataclasses.MISSING
+LARGEST = 2**31 - 1
+"""The most that a whole number may be whose range has no end: what JAX counts by is int32."""
+_DECLARED = "jaxdyna"
+_NAMES = {bool: "True or False", int: "a whole number", float: "a number", str: "text"}
+
+
+class SettingError(ValueError):
+    """A setting that cannot be.
+
+    Attributes:
+        path: its dotted path.
+        said: what is wrong, and what to change.
+    """
+
+    def __init__(self, path: str, said: str):
+        super().__init__(f"{path} {said}")
+        self.path, self.said = path, said
+
+
+class Range(NamedTuple):
+    """Where a number may lie; NaN is outside of every range.
+
+    Attributes:
+        low: the least, None without one.
+        high: the most, None without one.
+        above: whether ``low`` itself is excluded.
+        below: whether ``high`` itself is excluded.
+        infinite: whether infinity is allowed.
+    """
+
+    low: float | None = None
+    high: float | None = None
+    above: bool = False
+    below: bool = False
+    infinite: bool = False
+
+    def holds(self, value: Any) -> bool:
+        """Whether it does."""
+        low = -math.inf if self.low is None else self.low
+        high = math.inf if self.high is None else self.high
+        inside = (value > low if self.above else value >= low) and (
+            value < high if self.below else value <= high
+        )
+        return inside and (self.infinite or -math.inf < value < math.inf)
+
+    def __str__(self) -> str:
+        if None not in (self.low, self.high) and not (self.above or self.below):
+            return f"between {self.low:.12g} and {self.high:.12g}"
+        low = "" if self.low is None else f"{'above' if self.above else 'at least'} {self.low:.12g}"
+        high = (
+            "" if self.high is None else f"{'below' if self.below else 'at most'} {self.high:.12g}"
+        )
+        bounds = " and ".join(bound for bound in (low, high) if bound)
+        return bounds or ("a number" if self.infinite else "a finite number")
+
+
+class Leaf(NamedTuple):
+    """One setting of a tree of them.
+
+    Attributes:
+        help: its sentence.
+        range: where it may lie.
+        everyday: whether it is an everyday one.
+        choices: what can be chosen, by name.
+        empty: whether it may be an empty tuple.
+        path: dotted.
+        value: as it is.
+        hint: its type.
+    """
+
+    help: str = ""
+    range: Range = Range()
+    everyday: bool = False
+    choices: Mapping[str, Any] = {}
+    empty: bool = True
+    path: str = ""
+    value: Any = None
+    hint: Any = Any
+
+
+def setting(
+    default: Any = MISSING,
+    help: str = "",
+    *,
+    factory: Callable[[], Any] | Any = MISSING,
+    at_least: float | None = None,
+    above: float | None = None,
+    at_most: float | None = None,
+    below: float | None = None,
+    infinite: bool = False,
+    choices: Sequence[Any] | Mapping[str, Any] = (),
+    everyday: bool = False,
+) -> Any:
+    """A field of a dataclass of settings.
+
+    Args:
+        default: its value where nobody says otherwise. A tuple may be empty only where this is.
+        help: a sentence, with the unit.
+        factory: makes the default, instead of ``default``.
+        at_least: the least that it, or each number of a tuple, may be; None (the value) passes.
+        above: likewise, but not that number itself.
+        at_most: the most.
+        below: likewise, but not that number itself.
+        infinite: whether it may be infinite.
+        choices: what can be chosen by name, as they are called or by the names given here. Of text
+            nothing else may be chosen; of functions and the like one of the user's own may.
+        everyday: whether ``--help`` shows it, not only ``--help-all``.
+    """
+    low, high = (above if at_least is None else at_least), (below if at_most is None else at_most)
+    where = Range(low, high, above is not None, below is not None, infinite)
+    named = choices if isinstance(choices, Mapping) else {_name(item): item for item in choices}
+    empty = not isinstance(default, tuple) or not default
+    metadata = {_DECLARED: Leaf(help, where, everyday, named, empty)}
+    if factory is not MISSING:
+        return dataclasses.field(default_factory=factory, metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def leaves(settings: Any, prefix: str = "") -> Iterator[Leaf]:
+    """The settings of a nested dataclass, in the order of their declaration."""
+    kind: Any = type(settings)
+    hints = type_hints(kind)
+    for item in dataclasses.fields(settings):
+        value, path = getattr(settings, item.name), f"{prefix}{item.name}"
+        if _is_settings(value):
+            yield from leaves(value, f"{path}.")
+        else:
+            yield _declared(item)._replace(path=path, value=value, hint=hints[item.name])
+
+
+@cache
+def type_hints(kind: Any) -> dict[str, Any]:
+    """The types of a dataclass's fields."""
+    return get_type_hints(kind)
+
+
+def check(settings: Any, prefix: str = "") -> None:
+    """Checks every value against its type, numbers against their range too, and text against its
+    choices. Arrays and tracers pass, and so do functions and other objects.
+
+    Raises:
+        SettingError: naming the first that cannot be, and what can.
+    """
+    for leaf in leaves(settings, prefix):
+        if wanted := _wanted_instead(leaf):
+            raise SettingError(leaf.path, f"is {_name(leaf.value)}: it must {wanted}")
+
+
+def _wanted_instead(leaf: Leaf) -> str | None:
+    """What the value must be, where it is something else."""
+    parts = tuple(_parts(leaf.value))
+    numbers = [part for part in parts if isinstance(part, int | float | np.number)]
+    words = [part for part in parts if isinstance(part, str)]
+    kinds = _union(leaf.hint)
+    if leaf.choices and any(word not in leaf.choices.values() for word in words):
+        return f"be one of {', '.join(leaf.choices)}"
+    if not _fits(leaf.value, leaf.hint):
+        return f"be {_describe(leaf.hint)}"
+    if not parts and not leaf.empty:
+        return "not be empty"
+    if not all(leaf.range.holds(number) for number in numbers):
+        return f"be {leaf.range}{', or None' if NoneType in kinds else ''}"
+    if leaf.range.high is None and float not in kinds and any(n > LARGEST for n in numbers):
+        return f"be at most {LARGEST}"
+    return None
+
+
+def changed(settings: T, overrides: Mapping[str, Any]) -> T:
+    """The settings with others at some dotted paths. They are checked once all are in place.
+
+    Raises:
+        SettingError: where a path names no setting, or a value cannot be.
+    """
+    for path in overrides:
+        value_at(settings, path)
+    return _changed(settings, overrides)
+
+
+def _changed(settings: T, overrides: Mapping[str, Any]) -> T:
+    now = {path: value for path, value in overrides.items() if "." not in path}
+    deeper: dict[str, dict[str, Any]] = {}
+    for path, value in overrides.items():
+        name, dot, rest = path.partition(".")
+        if dot:
+            deeper.setdefault(name, {})[rest] = value
+    for name, inner in deeper.items():
+        try:
+            now[name] = _changed(now.get(name, getattr(settings, name)), inner)
+        except SettingError as error:
+            raise SettingError(f"{name}.{error.path}", error.said) from None
+    return dataclasses.replace(settings, **now)  # type: ignore[type-var]
+
+
+def value_at(settings: Any, path: str) -> Any:
+    """The setting at a dotted path.
+
+    Raises:
+        SettingError: where there is none.
+    """
+    value = settings
+    for name in path.split("."):
+        if not _is_settings(value) or all(name != item.name for item in dataclasses.fields(value)):
+            known = [leaf.path for leaf in leaves(settings)]
+            same = [other for other in known if other.endswith(f".{path}")]
+            near = same or difflib.get_close_matches(path, known, n=1)
+            hint = f": did you mean {near[0]}?" if near else ""
+            raise SettingError(path, f"is the name of no setting{hint}")
+        value = getattr(value, name)
+    return value
+
+
+def plain(value: Any) -> Any:
+    """Settings as JSON: dataclasses become objects; functions, modules and choices their names."""
+    if _is_settings(value):
+        return {
+            item.name: _said(getattr(value, item.name), _declared(item).choices)
+            for item in dataclasses.fields(value)
+        }
+    if isinstance(value, Mapping):
+        return {name: plain(item) for name, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return plain(value.tolist()) if hasattr(value, "tolist") else _name(value)
+
+
+def restored(like: T, said: Mapping[str, Any]) -> T:
+    """The settings that `plain` turned into JSON; what it does not name stays as in ``like``, and
+    so does what is called the same there.
+
+    Raises:
+        SettingError: where it names what there is not, or a value cannot be.
+    """
+    known = {leaf.path: leaf for leaf in leaves(like)}
+
+    def read(said: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+        for name, value in said.items():
+            path = f"{prefix}{name}"
+            if _is_settings(value_at(like, path)) and isinstance(value, Mapping):
+                yield from read(value, f"{path}.")
+            else:
+                yield path, _read(value, known[path]) if path in known else value
+
+    return changed(like, dict(read(said)))
+
+
+def _read(value: Any, leaf: Leaf) -> Any:
+    kinds = _union(leaf.hint)
+    if value == _said(leaf.value, leaf.choices):
+        return leaf.value
+    if isinstance(value, list):
+        hints = _elements(leaf.hint, len(value)) or [Any] * len(value)
+        parts = [_read(value[i], Leaf(path=leaf.path, hint=hint)) for i, hint in enumerate(hints)]
+        return type(leaf.value)(*parts) if hasattr(leaf.value, "_fields") else tuple(parts)
+    if isinstance(value, str) and value in leaf.choices:
+        return leaf.choices[value]
+    if isinstance(value, str) and str not in kinds and value not in kinds:
+        if Path in kinds:
+            return Path(value)
+        if float not in kinds or value not in ("inf", "-inf", "nan"):
+            known = f": give one of {', '.join(leaf.choices)}" if leaf.choices else ""
+            raise SettingError(leaf.path, f"is {value}, which cannot be read back{known}")
+        return float(value)
+    return float(value) if type(value) is int and float in kinds and int not in kinds else value
+
+
+def _said(value: Any, choices: Mapping[str, Any]) -> Any:
+    for name, choice in choices.items():
+        if choice is value or (type(choice) is type(value) and choice == value):
+            return name
+    return plain(value)
+
+
+def _union(hint: Any) -> list[Any]:
+    """The types that a type allows; of a literal its values."""
+    if get_origin(hint) in (Union, UnionType):
+        return [kind for part in get_args(hint) for kind in _union(part)]
+    return list(get_args(hint)) if get_origin(hint) is Literal else [hint]
+
+
+def _elements(hint: Any, count: int) -> Sequence[Any] | None:
+    """The types of a tuple's elements, None where no tuple of so many is allowed."""
+    for kind in _union(hint):
+        inner = get_args(kind)
+        if kind in (Any, tuple) or inner[1:] == (Ellipsis,):
+            return [*inner[:1], Any][:1] * count
+        if get_origin(kind) is tuple and len(inner) == count:
+            return inner
+    return None
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a plain value is of a type; what is no plain one always is."""
+    value = value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, tuple) and not hasattr(value, "_fields"):
+        inner = _elements(hint, len(value))
+        return inner is not None and all(map(_fits, value, inner))
+    own = next((kind for kind in (*_NAMES, NoneType, list) if isinstance(value, kind)), None)
+    return own is None or any(
+        kind in (Any, own, value) or get_origin(kind) is own or (own is int and kind is float)
+        for kind in _union(hint)
+    )
+
+
+def _describe(hint: Any) -> str:
+    """A type in words."""
+    words = []
+    for kind in _union(hint):
+        if get_origin(kind) is tuple:
+            inner = ("..." if part is Ellipsis else _describe(part) for part in get_args(kind))
+            words.append(f"a tuple ({', '.join(inner)})")
+        elif get_origin(kind) is Callable:
+            words.append("a function")
+        else:
+            words.append(_NAMES.get(kind) or ("None" if kind is NoneType else _name(kind)))
+    return " or ".join(words)
+
+
+def _parts(value: Any) -> Iterator[Any]:
+    """The elements of nested tuples."""
+    if isinstance(value, tuple):
+        for part in value:
+            yield from _parts(part)
+    else:
+        yield value
+
+
+def _declared(item: dataclasses.Field) -> Leaf:
+    return item.metadata.get(_DECLARED, Leaf())
+
+
+@cache
+def _declares(kind: Any) -> bool:
+    return dataclasses.is_dataclass(kind) and any(
+        _DECLARED in item.metadata for item in dataclasses.fields(kind)
+    )
+
+
+def _is_settings(value: Any) -> bool:
+    kind: Any = type(value)
+    return _declares(kind)
+
+
+def _name(value: Any) -> str:
+    """A function's name; what a partial one or another object is made with beside."""
+    if isinstance(value, partial):
+        inside = [*map(_name, value.args)]
+        inside += [f"{name}={_name(item)}" for name, item in value.keywords.items()]
+        return f"{_name(value.func)}({', '.join(inside)})"
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        inside = [
+            f"{item.name}={_name(getattr(value, item.name))}"
+            for item in dataclasses.fields(value)
+            if item.name not in ("parent", "name") and getattr(value, item.name) != item.default
+        ]
+        return f"{type(value).__name__}({', '.join(inside)})"
+    return getattr(value, "__name__", type(value).__name__) if callable(value) else str(value)

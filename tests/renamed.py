@@ -1,0 +1,155 @@
+"""Names that changed after 30aa21d, old to new: modules, flags, settings, arms, arrays.
+
+A record keeps the command that was typed; `respelled` says how it is typed today.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from fnmatch import fnmatch
+from typing import Any
+
+MODULES: dict[str, tuple[str, ...] | None] = {
+    "cartpole_readings": ("cartpole", "--part", "readings"),
+    "cartpole_levers": ("cartpole", "--part", "levers"),
+    "cartpole_accuracy": ("cartpole", "--part", "accuracy"),
+    "cartpole_data": ("cartpole", "--part", "data"),
+    "maze_levers": ("maze", "--part", "levers"),
+    "cartpole_scaling": ("benchmark", "--part", "sweep"),
+    "maze_bench": ("benchmark", "--part", "steps"),
+    "pong_likeness": None,
+}
+"""None: cut, with its record."""
+
+PARTS = {"model": "frames", "train": None}
+"""None: the default, which no longer has a name."""
+
+DYNA = {
+    "real_first": "dyna.num_real_first",
+    "model_updates": "dyna.model_updates",
+    "model_batch": "dyna.model_batch",
+    "dream_updates": "dyna.dream_updates",
+    "dream_episodes": "dyna.dream_episodes",
+    "dream_steps": "dyna.dream_steps",
+    "rest_when_safe": "dyna.rest_when_safe",
+    "forget_every": "dyna.forget_every",
+    "replay_capacity": "dyna.replay_capacity",
+    "terminal_share": "dyna.rare_share",
+    "rare_share": "dyna.rare_share",
+}
+SETTINGS: dict[str, dict[str, str]] = {"cartpole": DYNA, "maze": DYNA, "pong": DYNA}
+"""By module as `respelled`, with its part where it has one: dotted paths."""
+
+VALUES = {
+    "preset": {"paper": "tuned"},
+    "arms": {"dyna (paper preset)": "dyna (tuned preset)"},
+}
+"""By setting."""
+
+NOT_SETTINGS = ("part", "out", "resume")
+"""In the settings of old records, and today what the call says beside them."""
+
+DECIDED = {
+    "* hparams.env.max_steps": "--steps decides it, and today's record says how",
+    "pong hparams.env.points_to_win": "none, since an episode is so many steps",
+    "pong hparams.env.*serve_delay": "--serve-delay decides it",
+    "maze mpc.discount": "the agent's",
+    "maze mcts.discount": "the agent's",
+    "cartpole block": "None was all runs together; a number decides a run's bits today",
+}
+"""Recorded settings that were not those in use, or mean another thing, by module and pattern of the
+path, and why."""
+
+ARRAYS: dict[str, str] = {}
+"""In ``curves.npz``."""
+
+GONE = {
+    "cost_*": "the cost of training is the benchmark's business",
+}
+"""Arrays that are no longer kept, by pattern, and why."""
+
+JUDGED = (
+    "held_out_*", "example_*", "greedy_*", "game_*", "cost_*", "film_greedy", "film_truth",
+    "film_dream", "one_step", "mass", "reward", "dream*", "still_unserved", "seen", "truth",
+    "belief", "open_loop", "r2", "decisions: *",
+)  # fmt: skip
+"""Arrays of what is judged after training, from keys of its own."""
+
+LOSSES = ("*loss*", "*error*", "state_*", "change_*", "judged_*")
+"""Arrays of numbers that rounding moves a little; all others come of actions."""
+
+
+def respelled(command: Sequence[str]) -> list[str] | None:
+    """A module and its flags as they are typed today; None where it was cut."""
+    module, groups = command[0], list(_groups(command[1:]))
+    start = MODULES.get(module, (module,))
+    if start is None:
+        return None
+    said = {path: values for _, path, values in groups}
+    part = said.get("part", [""])[-1]
+    if "part" in said and PARTS.get(part, part) is not None:
+        start = (*start, "--part", PARTS.get(part) or part)
+    words = [*start]
+    for no, path, values in groups:
+        if path != "part":
+            flag = _setting(start, path).replace("_", "-")
+            table, dot, name = flag.rpartition(".")
+            words += [f"--{table}{dot}{no}{name}", *(_value(path, value) for value in values)]
+    return words
+
+
+def respelled_settings(command: Sequence[str], config: Mapping[str, Any]) -> dict[str, Any]:
+    """A record's settings by their dotted paths of today, without those that were not in use."""
+    start = respelled(command) or [""]
+    settings = {}
+    for path, value in _flat(config):
+        if path not in NOT_SETTINGS and not is_one(f"{start[0]} {path}", DECIDED):
+            listed = isinstance(value, list)
+            new = [_value(path, item) for item in value] if listed else _value(path, value)
+            settings[_setting(start, path)] = new
+    return settings
+
+
+def arrays(arm: str, name: str) -> tuple[str, list[str]]:
+    """An arm's name of today, and those that an array of it may have; what is kept of the first run
+    alone has ``show_`` in front.
+    """
+    renamed = ARRAYS.get(name, name)
+    bare = renamed.removeprefix("film_")
+    return VALUES["arms"].get(arm, arm), [renamed, f"show_{renamed}", f"show_{bare}"]
+
+
+def is_one(name: str, patterns: Sequence[str] | Mapping[str, str]) -> bool:
+    """Whether a name fits one of the patterns."""
+    return any(fnmatch(name, pattern) for pattern in patterns)
+
+
+def _groups(words: Sequence[str]) -> Iterator[tuple[str, str, list[str]]]:
+    """``("no-" or "", dotted path, values)`` of each flag."""
+    groups: list[tuple[str, str, list[str]]] = []
+    for word in words:
+        if not word.startswith("--"):
+            groups[-1][2].append(word)
+            continue
+        flag, equals, value = word.removeprefix("--").partition("=")
+        table, dot, name = flag.replace("-", "_").rpartition(".")
+        bare = name.removeprefix("no_")
+        no = "no-" if bare != name else ""
+        groups.append((no, f"{table}{dot}{bare}", [value] if equals else []))
+    yield from groups
+
+
+def _setting(start: Sequence[str], path: str) -> str:
+    """A setting's path of today in a command that starts so."""
+    part = start[2] if "--part" in start[1:2] else ""
+    return SETTINGS.get(f"{start[0]} {part}".strip(), {}).get(path, path)
+
+
+def _value(path: str, value: Any) -> Any:
+    return VALUES.get(path, {}).get(value, value) if isinstance(value, str) else value
+
+
+def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in config.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value

@@ -1,0 +1,80 @@
+"""Recorded commands, and those in the texts, parse today, and to what was recorded."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from renamed import respelled, respelled_settings
+
+from jaxdyna import fields
+
+ROOT = Path(__file__).parents[1]
+PROG = "python -m jaxdyna.experiments."
+RECORDS = sorted((ROOT / "experiments").glob("*/results.json"))
+TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+LAB_BOOK = ROOT / "experiments" / "README.md"
+
+
+def parsed(module, arguments):
+    """The settings that a command line comes to."""
+    session = pytest.importorskip("jaxdyna.experiments.engine.session")
+    package = pytest.importorskip(f"jaxdyna.experiments.{module}")
+    if not hasattr(package, "PARTS"):
+        pytest.skip(f"{module} has not moved in yet")
+    return session.prepared(package.PARTS, arguments, f"{PROG}{module}").options
+
+
+def commands(text):
+    """Those in a text; a line's comment is none of it."""
+    found = re.findall(rf"{PROG}((?:(?! && )[^`\n])+)", text)
+    return [shlex.split(said, comments=True) for said in found]
+
+
+@pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.parent.name)
+def test_a_recorded_command_parses_to_its_own_settings(path):
+    record = json.loads(path.read_text())
+    typed = [shlex.split(said.removeprefix(PROG)) for said in record["command"].split(" && ")]
+    for command in typed:
+        today = respelled(command)
+        assert today is not None, "a record whose command was cut goes too"
+        options = parsed(today[0], today[1:])
+        expected = respelled_settings(command, record["config"])
+        arms = expected.pop("arms", None)
+        if "--arms" in typed[-1]:  # others are played by default, and a resumed run may add some
+            assert set(fields.plain(options.arms)) <= set(arms)
+        for setting, value in expected.items():
+            assert fields.plain(fields.value_at(options, setting)) == value, setting
+
+
+@pytest.mark.parametrize("page", [*TEXTS, LAB_BOOK], ids=lambda page: page.parent.name)
+def test_a_command_in_a_text_parses(page):
+    found = commands(page.read_text())
+    assert found
+    for command in found:
+        today = respelled(command)
+        assert today is not None
+        parsed(today[0], today[1:])
+        assert page == LAB_BOOK or today == command, "spell it as today"
+
+
+def test_old_spellings_become_todays():
+    def spelled(text):
+        return shlex.join(respelled(shlex.split(text)) or ["cut"])
+
+    for old, new in {
+        "cartpole --preset paper --real-first 4 --no-rest-when-safe --terminal-share=0.5 --block 2":
+        "cartpole --preset tuned --dyna.num-real-first 4 --dyna.no-rest-when-safe "
+        "--dyna.rare-share 0.5 --block 2",
+        "cartpole_accuracy --arms 'dyna (paper preset)' model-free":
+        "cartpole --part accuracy --arms 'dyna (tuned preset)' model-free",
+        "maze --part train --rare_share None --model paper":
+        "maze --dyna.rare-share None --model paper",
+        "pong --preset=paper --part=model --paper.updates 3 --steps 9 --stages 1 2":
+        "pong --part frames --preset tuned --paper.updates 3 --steps 9 --stages 1 2",
+        "maze_bench --rounds 2": "benchmark --part steps --rounds 2",
+        "pong_likeness --seed 1": "cut",
+    }.items():  # fmt: skip
+        assert spelled(old) == new
+        assert new == "cut" or spelled(new) == new

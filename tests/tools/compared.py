@@ -1,0 +1,169 @@
+"""Two trees' arrays, arm by arm: which differ, and where first."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import renamed
+
+Curves = Mapping[str, Mapping[str, np.ndarray]]
+
+
+@dataclass
+class Verdict:
+    """What comes of comparing.
+
+    Attributes:
+        total: arrays compared by value.
+        equal: those whose values are the same, or within the tolerance.
+        differences: ``(episode, run, in words)``: the first of each array that differs.
+        notes: what else there is to say.
+    """
+
+    total: int = 0
+    equal: int = 0
+    differences: list[tuple[int, int, str]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def first(self) -> str:
+        """The first difference of all; "" where there is none."""
+        return min(self.differences)[2] if self.differences else ""
+
+    def missing(self, what: str, allowed: bool = False) -> None:
+        """Something that only the base has."""
+        self.notes.append(f"{what}: only in the base")
+        if not allowed:
+            self.differences.append((-1, 0, f"{what}: only in the base"))
+
+
+class Pair(NamedTuple):
+    """An array of one run in both trees, one axis at least; ``by_episode``: that is the first."""
+
+    name: str
+    run: int
+    old: np.ndarray
+    new: np.ndarray
+    by_episode: bool
+
+
+def compare(old: Curves, new: Curves, tolerance: float | None = None) -> Verdict:
+    """Compares what two trees left, by arm.
+
+    Args:
+        old: the base's.
+        new: the other's.
+        tolerance: None wants the same bits. Otherwise what `renamed.LOSSES` names may differ by as
+            much until anything else of the same run differs by more; from there on all may.
+    """
+    verdict = Verdict()
+    today = {renamed.arrays(arm, "")[0]: values for arm, values in old.items()}
+    verdict.notes += [f"{arm}: only new" for arm in new if arm not in today]
+    for arm, values in today.items():
+        if arm not in new:
+            verdict.missing(arm)
+            continue
+        pairs = _matched(verdict, arm, values, new[arm])
+        until = {} if tolerance is None else _goes_apart(pairs, tolerance)
+        verdict.notes += [f"{arm}: run {run} goes apart at {at + 1}" for run, at in until.items()]
+        wrong = {}
+        for pair in pairs:
+            if not pair.by_episode and until.get(pair.run):
+                continue
+            end = until.get(pair.run) or None
+            found = _difference(pair._replace(old=pair.old[:end], new=pair.new[:end]), tolerance)
+            if found is not None:
+                found = (*found[:2], f"{arm}/{found[2]}")
+                wrong[pair.name] = min(found, wrong.get(pair.name, found))
+        names = {pair.name for pair in pairs}
+        verdict.total += len(names)
+        verdict.equal += len(names) - len(wrong)
+        verdict.differences += wrong.values()
+    return verdict
+
+
+def _matched(verdict: Verdict, arm: str, old: Mapping, new: Mapping) -> list[Pair]:
+    """What both have of an arm; the rest, and what is judged, goes to the verdict."""
+    pairs, known = [], set()
+    for name, values in old.items():
+        found = next((one for one in renamed.arrays(arm, name)[1] if one in new), None)
+        known.add(found)
+        if found is None:
+            verdict.missing(f"{arm}/{name}", renamed.is_one(name, renamed.GONE))
+            continue
+        other, shown = new[found], found.startswith("show_")
+        alone = values[0] if shown and values.ndim > other.ndim else values
+        if renamed.is_one(name, renamed.JUDGED):
+            verdict.notes.append(f"{arm}/{name}: judged: {_judged(alone, other)}")
+            if alone.shape != other.shape:
+                said = f"{arm}/{name}: {alone.shape} is now {other.shape}"
+                verdict.differences.append((-1, 0, said))
+        elif shown:
+            pairs.append(_cut(Pair(name, 0, alone, other, False), old, new))
+        elif len(values) != len(other):
+            said = f"{arm}/{name}: {len(values)} runs are now {len(other)}"
+            verdict.differences.append((-1, 0, said))
+        else:
+            both = enumerate(zip(values, other, strict=True))
+            pairs += [_cut(Pair(name, run, *map(np.atleast_1d, pair), False), old, new)
+                      for run, pair in both]  # fmt: skip
+    verdict.notes += [f"{arm}/{name}: only new" for name in new if name not in known]
+    whole = sum(len(pair.old) for pair in pairs if pair.name == "real_return")
+    if "real_return" in old and whole < old["real_return"].size:
+        said = f"{whole} of {old['real_return'].size} episodes, up to the runs' own ends"
+        verdict.notes.append(f"{arm}: {said}")
+    return pairs
+
+
+def _judged(old: np.ndarray, new: np.ndarray) -> str:
+    if old.shape != new.shape:
+        return "shape different"
+    return "shape equal" if _first(old, new, None) is not None else "shape and values equal"
+
+
+def _cut(pair: Pair, old: Mapping, new: Mapping) -> Pair:
+    """An array by episode up to the run's own end, after which there is NaN."""
+    if "real_return" not in old or "real_return" not in new:
+        return pair._replace(by_episode=True)
+    lengths = old["real_return"].shape[1:], new["real_return"].shape[1:]
+    if (pair.old.shape[:1], pair.new.shape[:1]) != lengths:
+        return pair
+    end = min(len(pair.old), int(np.isfinite(new["real_return"][pair.run]).sum()))
+    return pair._replace(old=pair.old[:end], new=pair.new[:end], by_episode=True)
+
+
+def _goes_apart(pairs: list[Pair], tolerance: float) -> dict[int, int]:
+    """By run, the episode (from 0) at which anything but a loss differs first."""
+    until: dict[int, int] = {}
+    for pair in pairs:
+        if pair.by_episode and not renamed.is_one(pair.name, renamed.LOSSES):
+            episode = _first(pair.old, pair.new, tolerance)
+            if episode is not None:
+                until[pair.run] = min(until.get(pair.run, episode), episode)
+    return until
+
+
+def _difference(pair: Pair, tolerance: float | None) -> tuple[int, int, str] | None:
+    if pair.old.shape != pair.new.shape:
+        return -1, pair.run, f"{pair.name}: {pair.old.shape} is now {pair.new.shape}"
+    at = _first(pair.old, pair.new, tolerance)
+    if at is None:
+        return None
+    old, new = pair.old[at].ravel(), pair.new[at].ravel()
+    one = _first(old, new, tolerance)
+    where = f"{pair.name}, run {pair.run}, episode {at + 1}"
+    return at, pair.run, f"{where}: {old[one]} is now {new[one]}"
+
+
+def _first(old: np.ndarray, new: np.ndarray, tolerance: float | None) -> int | None:
+    """Where two arrays differ first along their first axis; None where they do not."""
+    if old.shape != new.shape:
+        return 0
+    old, new = np.atleast_1d(old), np.atleast_1d(new)
+    if tolerance is None:
+        wrong = (old != new) & ~(np.isnan(old) & np.isnan(new))
+    else:
+        wrong = ~np.isclose(old, new, rtol=tolerance, atol=tolerance, equal_nan=True)
+    wrong = wrong.reshape(len(wrong), -1).any(1)
+    return int(wrong.argmax()) if wrong.any() else None
