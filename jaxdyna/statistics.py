@@ -198,8 +198,8 @@ def ratio_of_means(
     }
 
 
-def r_squared(squared_error: np.ndarray, total: np.ndarray, square: np.ndarray, count: np.ndarray):
-    """The share of the variance explained, from sums over transitions.
+def r_squared(squared_error: Any, total: Any, square: Any, count: Any) -> Any:
+    """The share of the variance explained, from sums over transitions: arrays of NumPy or JAX.
 
     Args:
         squared_error: summed squared errors of the prediction, ``[..., variables]``.
@@ -211,7 +211,7 @@ def r_squared(squared_error: np.ndarray, total: np.ndarray, square: np.ndarray, 
         ``1 - error / variance``, the same shape as ``squared_error``.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        return 1 - squared_error / (square - np.square(total) / np.asarray(count)[..., None])
+        return 1 - squared_error / (square - total * total / count[..., None])
 
 
 def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float, float]:

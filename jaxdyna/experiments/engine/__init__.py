@@ -1,5 +1,6 @@
 """The one engine: it plays, saves, resumes, sweeps, shards and reports any experiment."""
 
+from jaxdyna.experiments.engine.checkpoint import InputError
 from jaxdyna.experiments.engine.experiment import (
     Experiment,
     Options,
@@ -10,7 +11,7 @@ from jaxdyna.experiments.engine.experiment import (
     Table,
 )
 from jaxdyna.experiments.engine.session import main
-from jaxdyna.experiments.engine.work import Arm, Curves, Engine, InputError, Runs, Work, runs_of
+from jaxdyna.experiments.engine.work import Arm, Curves, Engine, Runs, Work, runs_of
 
 __all__ = [
     "Arm",

@@ -1,7 +1,7 @@
 """Checkpoints of blocks between two pieces: resumed from them, runs are bit for bit the same.
 
-A file a block, written whole or not at all: arrays by the names of the state's leaves, with the axis of
-runs in front, and nothing of devices in them. NumPy's format carries checksums.
+A file a block, written whole or not at all: arrays by the names of the state's leaves, with the
+axis of runs in front, and nothing of devices in them. NumPy's format carries checksums.
 """
 
 from __future__ import annotations
@@ -21,14 +21,18 @@ CHECKPOINT_SHARE = 0.05
 ABOUT = "about"
 
 
+class InputError(ValueError):
+    """What a user can mend, found in mid-run; what was played is saved."""
+
+
 @dataclass
 class Kept:
     """A block between two pieces.
 
     Attributes:
         done: units played.
-        state: its runs', leaves ``[block, ...]``, or as read from a file, by name; None once all its
-            runs are over.
+        state: its runs', leaves ``[block, ...]``, or as read from a file, by name; None once all
+            its runs are over.
         metrics: ``[block, done, ...]``.
         over: what runs came to that are over, by their row.
     """
@@ -39,23 +43,32 @@ class Kept:
     over: dict[int, Curves]
 
     def into(self, like: Any, place: Any) -> Any:
-        """The state that was read, in the structure and on the device of ``like``.
+        """The state that was read.
+
+        Args:
+            like: a state of the structure that it must have.
+            place: the device that it is put on.
 
         Raises:
-            ValueError: where it is of another structure.
+            InputError: where it is of another structure, naming the first leaf that differs.
         """
-        examples, structure = jax.tree_util.tree_flatten_with_path(like)
-        leaves = []
-        for path, example in examples:
-            saved = self.state.get(jax.tree_util.keystr(path))
-            if saved is None or (not _is_key(example) and saved.shape != example.shape):
-                raise ValueError(
-                    f"the checkpoint has no {jax.tree_util.keystr(path)} of shape {example.shape}: it "
-                    "is another version's; run without --resume"
+        named, structure = jax.tree_util.tree_flatten_with_path(like)
+        wanted = {jax.tree_util.keystr(path): example for path, example in named}
+        for name in (*wanted, *self.state):
+            now, then = (_sort(_raw(tree[name])) if name in tree else "not there"
+                         for tree in (wanted, self.state))  # fmt: skip
+            if now != then:
+                raise InputError(
+                    f"the checkpoint is another version's: state{name} was {then} and is {now}; "
+                    "run without --resume"
                 )
-            leaf = jax.random.wrap_key_data(saved) if _is_key(example) else saved
-            leaves.append(jax.device_put(leaf, place))
-        return jax.tree.unflatten(structure, leaves)
+        leaves = [
+            jax.random.wrap_key_data(self.state[name], impl=jax.random.key_impl(example))
+            if _is_key(example)
+            else self.state[name]
+            for name, example in wanted.items()
+        ]
+        return jax.device_put(jax.tree.unflatten(structure, leaves), place)
 
 
 class Store:
@@ -86,7 +99,7 @@ class BlockStore:
         self.path, self.pause, self.saved = path, CHECKPOINT_SECONDS, time.perf_counter()
 
     def due(self) -> bool:
-        """Whether one should be written now: writing takes a small share of the time at the most."""
+        """Whether one should be written now: writing takes a small share of the time."""
         return time.perf_counter() - self.saved > self.pause
 
     def save(self, kept: Kept, seconds: float) -> None:
@@ -96,8 +109,7 @@ class BlockStore:
         for row, curves in kept.over.items():
             arrays |= {f"over/{row}/{name}": values for name, values in curves.items()}
         for path, leaf in jax.tree_util.tree_flatten_with_path(kept.state)[0]:
-            raw = jax.random.key_data(leaf) if _is_key(leaf) else leaf
-            arrays[f"state/{jax.tree_util.keystr(path)}"] = np.asarray(raw)
+            arrays[f"state/{jax.tree_util.keystr(path)}"] = np.asarray(_raw(leaf))
         about = {"done": kept.done, "over": list(kept.over), "seconds": seconds}
         self.path.parent.mkdir(parents=True, exist_ok=True)
         part = self.path.with_suffix(".part")
@@ -130,6 +142,14 @@ class BlockStore:
 def _about(path: Path) -> dict[str, Any]:
     with np.load(path) as file:
         return json.loads(str(file[ABOUT]))
+
+
+def _sort(array: Any) -> str:
+    return f"{array.dtype}{list(array.shape)}"
+
+
+def _raw(leaf: Any) -> Any:
+    return jax.random.key_data(leaf) if _is_key(leaf) else leaf
 
 
 def _is_key(leaf: Any) -> bool:

@@ -18,7 +18,10 @@ from jaxdyna import fields
 from jaxdyna.fields import Leaf, SettingError, setting
 
 O = TypeVar("O")  # noqa: E741
-NOT_SWEPT = ("seeds", "seed", "arms", "out", "episodes", "preset", "quick", "block")
+NOT_SWEPT = (
+    "seeds", "seed", "arms", "out", "episodes", "stop_after_solved", "block", "preset", "quick",
+    "part", "resume", "shard", "sweep",
+)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)

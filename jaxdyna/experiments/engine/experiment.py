@@ -1,9 +1,12 @@
-"""An experiment is data: what is filled in, and what is made of it. A study is a table of overrides."""
+"""An experiment is data: what is filled in, and what is made of it. A study is a table of
+overrides.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
@@ -112,12 +115,11 @@ class Study(NamedTuple):
         title: of its report.
         of: the experiment.
         preset: whose settings are changed.
-        rows: by name, what is changed, by dotted path; ``"arm"`` names another arm than ``arm``. The
-            first is what the others are compared with.
+        rows: by name, what is changed, by dotted path; ``"arm"`` names another arm than ``arm``.
+            The first is what the others are compared with.
         sections: as an experiment's.
         common: what is changed in all rows, and can be set otherwise on the command line.
         arm: that is played.
-        column: which figure of an arm the tables are of.
         describe: beside the experiment's.
         quick: what ``--quick`` changes.
     """
@@ -130,7 +132,6 @@ class Study(NamedTuple):
     sections: Sequence[Callable[[Record], str]] = ()
     common: Overrides = {}
     arm: str = "dyna"
-    column: str = "episodes_to_solve"
     describe: Sequence[Callable[[Any, Curves], Results]] = ()
     summary: Callable[[Record], Sequence[tuple[str, Table] | str]] = lambda record: ()
     quick: Overrides = {}
@@ -141,8 +142,7 @@ class Study(NamedTuple):
 
         def arms(options: Any) -> Mapping[str, Callable[[], Arm]]:
             return {
-                name: lambda row=row: self.made(options, row)
-                for name, row in self.rows(options).items()
+                name: partial(self.made, options, row) for name, row in self.rows(options).items()
             }
 
         return replace(
@@ -166,43 +166,63 @@ class Entry(NamedTuple):
         name: of the entry.
         arm: its name alone.
         setting: the rest of it, None where there is none.
+        names: by any of which it is asked for.
+        options: the experiment's in that setting, resolved.
         make: makes it.
     """
 
     name: str
     arm: str
     setting: str | None
+    names: tuple[str, ...]
+    options: Any
     make: Callable[[], Arm]
 
 
 def entries(
     experiment: Experiment, options: Any, sweep: Mapping[str, Sequence[Any]]
 ) -> list[Entry]:
-    """The entries that are asked for, swept over a grid of settings by dotted path.
+    """Every entry that there can be, swept over a grid of settings.
+
+    Args:
+        experiment: whose.
+        options: its settings, not resolved yet.
+        sweep: values by dotted path.
+
+    Raises:
+        ValueError: where what is swept would change when a run counts as solved.
+    """
+    made: list[Entry] = []
+    grid = [dict(zip(sweep, values, strict=True)) for values in product(*sweep.values())]
+    setups = [fields.changed(options, point).resolved() for point in grid]
+    if experiment.rule and len({experiment.rule(setup) for setup in setups}) > 1:
+        said = ", ".join(sweep)
+        raise ValueError(f"--sweep {said}: runs would count as solved by several rules")
+    tables = [experiment.arms(setup) for setup in setups]
+    for name in dict.fromkeys(name for table in tables for name in table):
+        arm, _, stage = name.partition("@")
+        for point, setup, table in zip(grid, setups, tables, strict=True):
+            swept = ",".join(f"{path}={_said(value)}" for path, value in point.items())
+            where = ",".join(part for part in (stage, swept) if part)
+            full = f"{arm}@{where}" if where else arm
+            if name in table:
+                made.append(Entry(full, arm, where or None, (arm, name, full), setup, table[name]))
+    return made
+
+
+def chosen(every: Sequence[Entry], asked: Sequence[str]) -> list[Entry]:
+    """The entries that are asked for, by name; all where none is named.
 
     Raises:
         ValueError: where there is no such arm.
     """
-    made: list[Entry] = []
-    grid = [dict(zip(sweep, values, strict=True)) for values in product(*sweep.values())]
-    names = experiment.arms(options)
-    asked = options.arms or tuple(names)
-    known = {name for arm in names for name in (arm, arm.partition("@")[0])}
-    if unknown := [name for name in asked if name not in known]:
+    if not asked:
+        return list(every)
+    known = {name for entry in every for name in entry.names[:2]}
+    of = {ask: [entry for entry in every if ask in entry.names] for ask in asked}
+    if unknown := [ask for ask, found in of.items() if not found]:
         raise ValueError(f"there is no arm {unknown[0]}; there are: {'; '.join(sorted(known))}")
-    for ask in dict.fromkeys(asked):
-        for name in (name for name in names if ask in (name, name.partition("@")[0])):
-            arm, _, stage = name.partition("@")
-            for point in grid:
-                swept = ",".join(f"{path}={_said(value)}" for path, value in point.items())
-                where = ",".join(part for part in (stage, swept) if part)
-                full = f"{arm}@{where}" if where else arm
-                make = names[name]
-                if point:
-                    setup = fields.changed(options, point).resolved()
-                    make = experiment.arms(setup)[name]
-                made.append(Entry(full, arm, where or None, make))
-    return list({entry.name: entry for entry in made}.values())
+    return list({entry.name: entry for found in of.values() for entry in found}.values())
 
 
 def _said(value: Any) -> str:

@@ -10,10 +10,10 @@ import signal
 import sys
 import time
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +23,14 @@ from rich.console import Console
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine import cli
-from jaxdyna.experiments.engine.checkpoint import Store
+from jaxdyna.experiments.engine.checkpoint import InputError, Store
 from jaxdyna.experiments.engine.experiment import (
     Entry,
     Experiment,
     Record,
     Results,
     Study,
+    chosen,
     entries,
 )
 from jaxdyna.experiments.engine.progress import Bars
@@ -46,7 +47,6 @@ from jaxdyna.experiments.engine.work import (
     Arm,
     Curves,
     Engine,
-    InputError,
     Interrupted,
     Over,
     Runs,
@@ -96,8 +96,8 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     """The session that a command line asks for; nothing is played yet."""
     asked = [word for word in argv if word not in ("--help", "-h", "--help-all")]
     call, rest = cli.called(asked, prog)
-    chosen = cli.by_name({part.name: part for part in parts}, call.part, prog)
-    experiment = chosen.experiment() if isinstance(chosen, Study) else chosen
+    part = cli.by_name({part.name: part for part in parts}, call.part, prog)
+    experiment = part.experiment() if isinstance(part, Study) else part
     presets = experiment.presets
     if call.preset is not None and call.preset not in presets:
         cli.fail(f"--preset {call.preset}: there is no such preset; there are {', '.join(presets)}",
@@ -110,15 +110,16 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
         raise SystemExit(0)
     if call.quick:
         default = fields.changed(default, {**experiment.quick.get(preset, {}), "quick": True})
-    options = cli.parse(default, rest, prog).resolved()
+    asked_for = cli.parse(default, rest, prog)
+    options = asked_for.resolved()
     sweep = cli.swept(options, call.sweep)
+    every = entries(experiment, asked_for, sweep)
     command = f"{prog} {shlex.join(word for word in argv if word != '--resume')}".strip()
     first = call.part is None or call.part == parts[0].name
     name = parts[0].name if first else f"{parts[0].name}-{experiment.name}"
     out = call.out or Path("runs") / (f"{name}-{preset}" if first else name)
-    plays = entries(experiment, options, sweep)
     return Session(
-        experiment, options, plays, out, command, call.resume, call.shards, sweep,
+        experiment, options, every, out, command, call.resume, call.shards, sweep,
         family=parts[0].name,
     )  # fmt: skip
 
@@ -136,7 +137,7 @@ class Session:
     Attributes:
         experiment: what is played.
         options: its settings, resolved.
-        entries: of ``results["arms"]``, in their order.
+        every: entry of ``results["arms"]`` that there can be.
         out: the folder for the results.
         command: as typed.
         resume: whether to go on with what is there.
@@ -147,7 +148,7 @@ class Session:
 
     experiment: Experiment
     options: Any
-    entries: list[Entry]
+    every: list[Entry]
     out: Path
     command: str
     resume: bool = False
@@ -169,6 +170,7 @@ class Session:
         self.earlier_s = 0.0
         if not self.seeds:
             raise ValueError("--shard has more parts than there are --seeds: give fewer")
+        self.entries = chosen(self.every, self.options.arms)
         self.arms = {entry.name: entry.make() for entry in self.entries}
         if self.resume:
             self._take_up()
@@ -219,21 +221,21 @@ class Session:
         """Plays the entries that are not finished: those of one arm that are one work together, as
         one axis of runs.
         """
-        left = [entry for entry in self.entries if entry.name not in self.curves]
-        groups = [
-            list(group)
-            for _, group in groupby(left, lambda entry: (entry.arm, arms[entry.name].work))
-        ]
-        names = [group[0].name if len(group) == 1 else group[0].arm for group in groups]
+        together: dict[Any, list[Entry]] = {}
+        for entry in self.entries:
+            if entry.name not in self.curves:
+                together.setdefault((entry.arm, arms[entry.name].work), []).append(entry)
+        counts = Counter(arm for arm, _ in together)
+        groups = {_group_name(group, counts): group for group in together.values()}
         totals = {
             name: (max(arms[entry.name].units for entry in group), len(group) * len(self.seeds))
-            for name, group in zip(names, groups, strict=True)
+            for name, group in groups.items()
         }
         with Bars(self.console, totals) as bars:
-            for name, group in zip(names, groups, strict=True):
+            for name, group in groups.items():
                 played = [arms[entry.name] for entry in group]
                 runs = runs_of(played, self.seeds, self.options.seed)
-                store = Store(self.checkpoints / _identifier(name, runs))
+                store = Store(self.checkpoints / _identifier(group, runs))
                 done = engine.play(
                     played[0].work, runs, self._over(), store,
                     lambda *said, name=name: bars.tell(name, *said),
@@ -326,11 +328,11 @@ class Session:
         ordered = [entry.name for entry in self.entries]
         names = [name for name in (*ordered, *self.curves) if name in self.curves]
         self.curves = {name: self.curves[name] for name in dict.fromkeys(names)}
-        write_curves(self.out / "curves.npz", self.curves)
         timing = {"arms": self.timing, "total_s": self.earlier_s + time.perf_counter() - self.began}
         self.results = results_of(
             self.experiment,
             self.options,
+            {entry.name: entry.options for entry in self.every},
             self.curves,
             {
                 "experiment": self.family,
@@ -347,6 +349,7 @@ class Session:
             },
         )  # fmt: skip
         write_json(self.out / "results.json", self.results)
+        write_curves(self.out / "curves.npz", self.curves)  # the last: what is in it is finished
 
     def _report(self) -> None:
         self._write()
@@ -361,9 +364,21 @@ class Session:
 
 
 def results_of(
-    experiment: Experiment, options: Any, curves: Mapping[str, Curves], about: Results
+    experiment: Experiment,
+    options: Any,
+    setups: Mapping[str, Any],
+    curves: Mapping[str, Curves],
+    about: Results,
 ) -> Results:
-    """What is in ``results.json``: a pure function of curves, settings and what is said about them."""
+    """What is in ``results.json``, from nothing but this.
+
+    Args:
+        experiment: whose.
+        options: its settings, resolved.
+        setups: likewise, of each entry.
+        curves: of each entry, ``[runs, ...]``.
+        about: the entries of ``results.json`` that say how these came about, ``timing`` with them.
+    """
     rule = experiment.rule(options) if experiment.rule else None
     arms: Results = {}
     for name, values in curves.items():
@@ -372,7 +387,7 @@ def results_of(
         if rule is not None and "real_return" in values:
             said |= describe_arm(values, rule, options.episodes)
         for describe in experiment.describe:
-            said |= describe(options, values)
+            said |= describe(setups.get(name, options), values)
         arms[name] = said
     spent = about["timing"]["arms"].values()
     total = {part: sum(one.get(part, 0.0) for one in spent) for part in ("compile_s", "run_s")}
@@ -385,18 +400,27 @@ def results_of(
 
 
 def write_report(experiment: Experiment, record: Record) -> None:
-    """Writes ``report.md`` and its figures."""
+    """Writes ``report.md`` and its figures into the record's folder."""
     head = [f"# {experiment.title}", f"`{record.results['command']}`"]
     parts = [*head, *(section(record) for section in experiment.sections)]
     text = "\n\n".join(part.strip("\n") for part in parts if part) + "\n"
     write_text(record.out / "report.md", text)
 
 
-def _identifier(name: str, runs: Runs) -> str:
+def _group_name(group: Sequence[Entry], counts: Mapping[str, int]) -> str:
+    """What entries that are played together are called, when so many groups are of each arm."""
+    first = group[0]
+    if len(group) == 1:
+        return first.name
+    return first.arm if counts[first.arm] == 1 else f"{first.name} and {len(group) - 1} more"
+
+
+def _identifier(group: Sequence[Entry], runs: Runs) -> str:
     """A folder's name for the checkpoints of just these runs."""
-    digest = zlib.crc32(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in
-                                 jax.tree.leaves((runs.seed, runs.hparams, runs.units))))  # fmt: skip
-    safe = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in name)
+    names = [entry.name for entry in group]
+    arrays = [names, *jax.tree.leaves((runs.seed, runs.hparams, runs.units))]
+    digest = zlib.crc32(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in arrays))
+    safe = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in group[0].arm)
     return f"{safe}-{digest:08x}"
 
 

@@ -1,4 +1,6 @@
-"""Files of a result: strict JSON, arrays, text; each written whole or not at all. And where it was made."""
+"""Files of a result: strict JSON, arrays, text; each written whole or not at all. And where it was
+made.
+"""
 
 from __future__ import annotations
 
@@ -106,8 +108,8 @@ def set_aside(out: Path) -> None:
 
 
 def provenance(earlier: Results | None = None) -> Results:
-    """``versions``, ``commit``, ``source`` (a hash of this package) and ``device``; of memory the most
-    that this process or, where it goes on with an ``earlier`` one's, that one has taken.
+    """``versions``, ``commit``, ``source`` (a hash of this package) and ``device``; of memory the
+    most that this process or, where it goes on with an ``earlier`` one's, that one has taken.
     """
     device = jax.devices()[0]
     peaks = [peak_memory_gib(), ((earlier or {}).get("device") or {}).get("peak_memory_gib")]

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.experiments.engine.checkpoint import Kept, Store
+from jaxdyna.experiments.engine.checkpoint import BlockStore, Kept, Store
 from jaxdyna.sweep import over_runs
 from jaxdyna.types import Key
 
@@ -43,8 +43,8 @@ class Work(NamedTuple):
         step: ``(state, data, unit, hparams) -> (state, metrics)``: the unit numbered ``unit`` (from
             0), such as a real episode or a gradient step; metrics are float arrays by name. It may
             use the axis `jaxdyna.sweep.RUNS`, along which runs are computed together.
-        data: ``(key, hparams) -> data``: a run's fixed input, made again on resume instead of saved;
-            None for none. It gets the key that ``init`` gets.
+        data: ``(key, hparams) -> data``: a run's fixed input, made again on resume instead of
+            saved; None for none. It gets the key that ``init`` gets.
         collect: ``(seeds, seed) -> data`` with the runs' axis in front: the same by the host, such
             as an emulator's episodes, from the runs' numbers ``[runs]`` and the base seed.
         judge: ``(state, data, key, hparams) -> arrays``: of a run that is over.
@@ -76,7 +76,8 @@ class Runs(NamedTuple):
     """The one axis.
 
     Attributes:
-        seed: global numbers ``[runs]``: run ``n`` of the base seed has the same keys in any company.
+        seed: global numbers ``[runs]``: run ``n`` of the base seed has the same keys in any
+            company.
         base: the base seed.
         hparams: leaves ``[runs, ...]``.
         units: the most that each plays, ``[runs]``.
@@ -124,7 +125,7 @@ def _array(value: Any) -> np.ndarray:
 
 
 class Seconds(NamedTuple):
-    """What playing took, by the clock on the wall: ``run_s`` with what was played before a resume."""
+    """By the clock on the wall; ``run_s`` with what was played before a resume."""
 
     compile_s: float
     run_s: float
@@ -141,10 +142,6 @@ class Played(NamedTuple):
 
     curves: list[Curves]
     seconds: Seconds
-
-
-class InputError(ValueError):
-    """What a user can mend, found in mid-run; what was played is saved."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -187,28 +184,33 @@ class Engine:
 
         Raises:
             Interrupted: after Ctrl-C.
+            InputError: where a checkpoint is another version's.
+            Exception: of the first block that fails; the others are saved after their pieces.
         """
         rows = np.arange(len(runs.seed))
         blocks = [rows[first : first + work.block] for first in range(0, len(rows), work.block)]
+        collected = work.collect(runs.seed, runs.base) if work.collect else None
         say("compiling", 0, 0)
         began = time.perf_counter()
         where = places(self.workers)[: len(blocks)]
-        for place in set(where):
-            self._program(work, runs, place)
-        compile_s, began = time.perf_counter() - began, time.perf_counter()
-        collected = work.collect(runs.seed, runs.base) if work.collect else None
+        programs = {place: self._program(work, runs, collected, place) for place in set(where)}
+        compile_s = time.perf_counter() - began
         tally = _Tally(say, len(runs.seed), store.seconds() if store else 0.0)
+        failed = threading.Event()
         free: SimpleQueue[Any] = SimpleQueue()
         for place in where:
             free.put(place)
 
+        def stopped() -> bool:
+            return failed.is_set() or self.interrupted.is_set()
+
         def play_block(number: int) -> list[Curves]:
             place = free.get()
             try:
-                block = _Block(self, work, runs, blocks[number], place, over, tally)
+                block = _Block(programs[place], runs, blocks[number], over, tally, stopped)
                 return block.play(collected, store.block(number) if store else None)
             except BaseException:
-                self.interrupted.set()
+                failed.set()
                 raise
             finally:
                 free.put(place)
@@ -222,11 +224,11 @@ class Engine:
         curves = [run for future in futures for run in future.result()]
         return Played(curves, Seconds(compile_s, tally.seconds()))
 
-    def _program(self, work: Work, runs: Runs, place: jax.Device) -> _Program:
+    def _program(self, work: Work, runs: Runs, collected: Any, place: jax.Device) -> _Program:
         shapes = jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams)
         known = (work, str(shapes), place)
         if known not in self.programs:
-            self.programs[known] = _Program(work, runs, place)
+            self.programs[known] = _Program(work, runs, collected, place)
         return self.programs[known]
 
 
@@ -241,7 +243,7 @@ def places(workers: int = 0) -> list[jax.Device]:
 class _Program:
     """A work compiled for blocks of its size on one device."""
 
-    def __init__(self, work: Work, runs: Runs, place: jax.Device):
+    def __init__(self, work: Work, runs: Runs, collected: Any, place: jax.Device):
         self.work, self.place, self.lock = work, place, threading.Lock()
         keys, hparams = self.put(_shaped(work.block, (runs.keys, runs.hparams)))
 
@@ -252,21 +254,16 @@ class _Program:
             return over_runs(one, work.block)(state, data, hparams)
 
         start = jax.jit(over_runs(work.init, work.block)).lower(keys, hparams)
-        state = start.out_info
-        data = None
-        self.data = None
-        if work.data is not None:
-            self.data = jax.jit(over_runs(work.data, work.block)).lower(keys, hparams)
-            data = self.data.out_info
-        if work.collect is not None:
-            one = work.collect(runs.seed[:1], runs.base)
-            data = _shaped(work.block, one)
-        state, data = self.put((state, data))
+        making = work.data and jax.jit(over_runs(work.data, work.block)).lower(keys, hparams)
+        data = making.out_info if making else _shaped(work.block, collected)
+        state, data = self.put((start.out_info, data))
         number = self.put(jax.ShapeDtypeStruct((), jnp.int32))
         piece_of = jax.jit(piece, donate_argnums=0).lower(state, data, number, number, hparams)
-        with ThreadPoolExecutor(3) as pool:  # XLA compiles without Python's lock
-            programs = [start, piece_of, *([self.data] if self.data is not None else [])]
-            self.start, self.piece, *rest = pool.map(lambda lowered: lowered.compile(), programs)
+        lowered = [(start, _quickly(place)), (piece_of, {}), *([(making, {})] if making else [])]
+        with ThreadPoolExecutor(len(lowered)) as pool:  # XLA compiles without Python's lock
+            self.start, self.piece, *rest = pool.map(
+                lambda one: one[0].compile(compiler_options=one[1]), lowered
+            )
         self.data = rest[0] if rest else None
         self.judging = {
             name: jax.jit(call)
@@ -283,6 +280,12 @@ class _Program:
         )
 
 
+def _quickly(place: jax.Device) -> dict[str, Any]:
+    """How XLA compiles what is run once: on a CPU it optimises less, in less than half the time."""
+    told = "xla_backend_optimization_level" in os.environ.get("XLA_FLAGS", "")
+    return {} if told or place.platform != "cpu" else {"xla_backend_optimization_level": 1}
+
+
 def _shaped(block: int, tree: Any) -> Any:
     return jax.tree.map(
         lambda leaf: jax.ShapeDtypeStruct((block, *leaf.shape[1:]), leaf.dtype), tree
@@ -290,8 +293,8 @@ def _shaped(block: int, tree: Any) -> Any:
 
 
 def _loop(work: Work, state: Any, data: Any, first: Any, count: Any, hparams: Any) -> Any:
-    """``count`` units from number ``first`` on, both traced, so that one program serves any number up
-    to `Work.piece`; metrics are ``[piece, ...]``, of which so many count.
+    """``count`` units from number ``first`` on, both traced, so that one program serves any number
+    up to `Work.piece`; metrics are ``[piece, ...]``, of which so many count.
     """
 
     def unit(number: jax.Array, carry: Any) -> Any:
@@ -310,26 +313,25 @@ class _Block:
 
     def __init__(
         self,
-        engine: Engine,
-        work: Work,
+        program: _Program,
         runs: Runs,
         rows: np.ndarray,
-        place: Any,
         over: Over | None,
         tally: _Tally,
+        stopped: Callable[[], bool],
     ):
-        self.engine, self.work, self.runs, self.over, self.tally = engine, work, runs, over, tally
-        self.program = engine._program(work, runs, place)
-        padded = np.concatenate([rows, np.repeat(rows[:1], work.block - len(rows))])
-        self.rows, self.padded, self.place = rows, padded, place
+        self.program, self.work, self.place = program, program.work, program.place
+        self.runs, self.over, self.tally, self.stopped = runs, over, tally, stopped
+        padded = np.concatenate([rows, np.repeat(rows[:1], self.work.block - len(rows))])
+        self.rows, self.padded = rows, padded
         self.hparams = self._put(jax.tree.map(lambda leaf: leaf[padded], runs.hparams))
         self.judging = runs.judging
         self.over_at: dict[int, Curves] = {}
         self.done, self.pieces = 0, Curves()
 
-    def play(self, collected: Any, store: Any) -> list[Curves]:
+    def play(self, collected: Any, store: BlockStore | None) -> list[Curves]:
         """What each of its runs came to."""
-        kept: Kept | None = store.load() if store else None
+        kept = store.load() if store else None
         if kept is not None:
             self.done, self.pieces, self.over_at = kept.done, kept.metrics, kept.over
             self.tally.add(self.done * len(self.rows), len(self.over_at))
@@ -342,7 +344,9 @@ class _Block:
     def _left(self) -> list[int]:
         return [row for row in range(len(self.rows)) if row not in self.over_at]
 
-    def _play_on(self, collected: Any, store: Any, kept: Kept | None) -> None:
+    def _play_on(self, collected: Any, store: BlockStore | None, kept: Kept | None) -> None:
+        if self.stopped():
+            raise Interrupted
         keys, program = self._put(self.runs.keys[self.padded]), self.program
         state = program.start(keys, self.hparams)
         data = None
@@ -367,7 +371,7 @@ class _Block:
             for row in ended:
                 self.over_at[row] = self._judged(row, state, data)
             self.tally.add(count * len(self.rows), len(ended))
-            stop = self.engine.interrupted.is_set()
+            stop = self.stopped()
             if store and self._left() and (stop or store.due()):
                 saved = Kept(self.done, state, self.pieces, self.over_at)
                 store.save(saved, self.tally.seconds())
@@ -375,8 +379,8 @@ class _Block:
                 raise Interrupted
 
     def _ended(self) -> list[int]:
-        """The rows of runs that have just come to their ends. Looked at after whole pieces and after
-        a run's own last unit only, so that it does not matter who else is in the block.
+        """The rows of runs that have just come to their ends. Looked at after whole pieces and
+        after a run's own last unit only, so that it does not matter who else is in the block.
         """
         over = np.zeros(len(self.padded), bool)
         if self.over is not None and self.done % self.work.piece == 0:

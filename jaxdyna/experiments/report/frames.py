@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,26 +17,18 @@ CAPTION_WIDTH = 220
 PAUSE_MS = 160
 
 
-def prediction_grid(
-    path: Path,
-    rows: Mapping[str, Sequence[np.ndarray]],
-    seen: np.ndarray,
-    coloured: Callable[[np.ndarray], np.ndarray] = np.asarray,
-) -> None:
+def prediction_grid(path: Path, rows: Mapping[str, Sequence[np.ndarray]], seen: np.ndarray) -> None:
     """Fig. 7: input, truth, prediction and error of a step, a row for each model.
 
     Args:
         path: the PNG.
-        rows: by name ``(truth, belief)``, each ``[H, W, 3]`` in [0, 1], as they are shown.
-        seen: the stack before the step, ``[H, W, 3 * frames]`` in [0, 1], on black.
-        coloured: from the stack, the older frames fainter, to the colours that are shown.
+        rows: by name ``(truth, belief)``, each ``[H, W, 3]`` in [0, 1].
+        seen: what was seen before the step, likewise.
     """
     titles = ("input (older frames fainter)", "what came", "what was believed", "error")
     figure, panels = subplots(len(rows), 4, figsize=(9.2, 2.45 * len(rows)), squeeze=False)
     for row, (name, (truth, belief)) in zip(panels, rows.items(), strict=True):
-        for panel, picture in zip(
-            row, (coloured(trail(seen)), truth, belief, np.abs(truth - belief)), strict=True
-        ):
+        for panel, picture in zip(row, (seen, truth, belief, np.abs(truth - belief)), strict=True):
             _show(panel, picture)
         row[0].set_ylabel(name, fontsize=9)
     for panel, title in zip(panels[0], titles, strict=True):

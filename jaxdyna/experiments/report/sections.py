@@ -9,11 +9,12 @@ import numpy as np
 
 from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report.settings import settings_table
-from jaxdyna.experiments.report.summaries import HELD_EPISODES, comparisons
+from jaxdyna.experiments.report.summaries import HELD_EPISODES, comparisons, mean_of_runs
 from jaxdyna.experiments.report.tables import (
     Table,
     arm_table,
     end_table,
+    interval,
     markdown_table,
     quantile_table,
     runs,
@@ -64,7 +65,7 @@ def learning_curves(
     """Real return against real episodes, a panel an arm, and the share of the runs that have solved."""
 
     def section(record: Any) -> str:
-        solves, shown = rule(record.options), _shown(record, arms)
+        solves, shown = rule(record.options), drawn(record, arms)
         returns = {name: _levelled(solves, curves) for name, curves in shown.items()}
         at = {
             name: episodes_to_solve(solves.score(curves), solves)
@@ -89,7 +90,7 @@ def _levelled(rule: SolveRule, curves: Mapping[str, np.ndarray]) -> np.ndarray:
     return returns if rule.share_of is None else returns / curves[rule.share_of]
 
 
-def _shown(record: Any, arms: Sequence[str]) -> Mapping[str, Any]:
+def drawn(record: Any, arms: Sequence[str]) -> Mapping[str, Any]:
     """The arms that are drawn: those named, or the first eight of all."""
     named = {name: record.curves[name] for name in arms if name in record.curves}
     return named or dict(list(record.curves.items())[:8])
@@ -100,7 +101,7 @@ def behaviour(measures: Mapping[str, str], window: int, name: str = "behaviour.p
     """What episodes are like against their number, a panel a curve, by the curve's name."""
 
     def section(record: Any) -> str:
-        shown = _shown(record, arms)
+        shown = drawn(record, arms)
         panels = {
             title: {arm: curves[key] for arm, curves in shown.items() if key in curves}
             for key, title in measures.items()
@@ -166,6 +167,42 @@ def endings(rule: Rule) -> Section:
             markdown_table(*end_table(record.results, rule(record.options).window)),
             f"Held: solved, and still so good over the last {HELD_EPISODES} episodes that the run "
             "played.",
+        )
+
+    return section
+
+
+def equal_episodes(baselines: Sequence[str], arms: Sequence[str] = (), last: int = 20) -> Section:
+    """Returns in the last episodes that every run of all arms has played, and less a baseline's run
+    by run: runs of the same number begin with the same key. Empty where nothing can be compared.
+    """
+
+    def cell(values: np.ndarray, sign: str) -> str:
+        said = mean_of_runs(values)
+        ends = interval(said["ci95"], 2)
+        return f"{said['mean']:{sign}.2f}{'' if ends == '-' else f' ({ends})'}"
+
+    def section(record: Any) -> str:
+        returns = {
+            name: curves["real_return"]
+            for name, curves in record.curves.items()
+            if name in arms or not arms
+        }
+        known = [name for name in baselines if name in returns]
+        end = min(int(np.isfinite(values).sum(1).min()) for values in returns.values())
+        if not known or len(returns) == 1 or end < last:
+            return ""
+        at = {name: values[:, end - last : end].mean(1) for name, values in returns.items()}
+        rows = [
+            [name, cell(mine, ""), *("-" if name == other else cell(mine - at[other], "+")
+                                     for other in known)]
+            for name, mine in at.items()
+        ]  # fmt: skip
+        return paragraphs(
+            "After as many real episodes: the mean return of episodes "
+            f"{end - last + 1} to {end}, the last that every run has played, and less another "
+            "arm's run by run; 95% intervals over runs.",
+            markdown_table(["arm", "return", *(f"less that of {name}" for name in known)], rows),
         )
 
     return section

@@ -10,16 +10,13 @@ import numpy as np
 from jaxdyna.experiments.report.plots import COLOURS, colour, mean_interval, save, subplots
 
 
-def solve_bars(
-    path: Path, solved_at: Mapping[str, np.ndarray], limit: int, title: str, axis: str
-) -> None:
+def solve_bars(path: Path, solved_at: Mapping[str, np.ndarray], limit: int, axis: str) -> None:
     """When many settings solved: every seed a dot, the mean a bar; unsolved on the right.
 
     Args:
         path: the PNG.
         solved_at: by setting, ``[seeds]``, infinity where unsolved.
         limit: what an unsolved run counts as.
-        title: above the figure.
         axis: what ``solved_at`` is.
     """
     figure, panel = subplots(figsize=(8.5, 0.42 * len(solved_at) + 1.4))
@@ -35,7 +32,6 @@ def solve_bars(
     panel.set_yticks(range(len(solved_at)), list(solved_at), fontsize=8)
     panel.set_ylim(len(solved_at) - 0.4, -0.6)
     panel.set_xlabel(f"{axis}\n(dot: a seed; bar: mean, an unsolved seed counted as {limit})")
-    figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=10)
     panel.spines[["top", "right"]].set_visible(False)
     save(figure, path)
 

@@ -147,10 +147,11 @@ def comparisons(
     results: Results, paper: Mapping[str, float], figure: str = "episodes_to_solve"
 ) -> list[str]:
     """The ratios to ``model_free``, and of our dreams to as many updates without them."""
-    arms = results["arms"]
-    both = {name: arms[name] for name in ("dyna", "more_updates") if name in arms}
-    lines = comparison(results, paper, figure=figure)
-    return lines + comparison({"arms": both}, {}, "more_updates", figure)
+    arms, lines = results["arms"], comparison(results, paper, figure=figure)
+    for other in ("more_updates", "max_updates"):
+        both = {name: arms[name] for name in ("dyna", other) if name in arms}
+        lines += comparison({"arms": both}, {}, other, figure)
+    return lines
 
 
 def _per_seed(summary: Results) -> np.ndarray:

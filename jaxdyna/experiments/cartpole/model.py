@@ -1,0 +1,194 @@
+"""How good a learned CartPole model is, on episodes that it never saw."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, Metrics
+from jaxdyna.envs import CartPole
+from jaxdyna.experiments.report import plots
+from jaxdyna.experiments.report.sections import paragraphs
+from jaxdyna.experiments.report.summaries import FIRST_DREAMS, Curves, first_dreams
+from jaxdyna.experiments.report.tables import Results, markdown_table, whole
+from jaxdyna.models.evaluation import one_step, one_step_sums, open_loop
+from jaxdyna.rollout import rollout
+from jaxdyna.statistics import r_squared
+from jaxdyna.types import Key, Transition
+
+STATES = ("cart position", "cart velocity", "pole angle", "pole angular velocity")
+OUTPUTS = ("position (m)", "velocity (m/s)", "angle (rad)", "ang. velocity", "reward", "p(end)")
+SHOWN = {
+    "policy": "held-out episode of the trained policy",
+    "random": "held-out episode of a random policy, until it ends",
+}
+KINDS = ("truth", "one_step", "open_loop")
+HELD_OUT_EPISODES = 20
+COMMON = (0.0, 0.3, 1.0)
+
+
+def judge(
+    dyna: Dyna, config: DynaConfig, state: DynaState, key: Key, hparams: DynaHParams
+) -> Metrics:
+    """One-step R² on new episodes of the final policy, of the next state ``r2_state`` ``[obs]`` and
+    of its change ``r2_change``, and their steps ``held_out``; nothing without a model.
+    """
+    if dyna.model is None:
+        return {}
+    key_play, key_judge = jax.random.split(key)
+    real = _play(dyna, config, state, key_play, hparams, HELD_OUT_EPISODES)
+    sums = one_step_sums(dyna.model.predict)(state.model.params, real, key_judge)
+    scores = {f"r2_{kind}": explained(sums, kind) for kind in ("state", "change")}
+    return scores | {"held_out": sums["count"]}
+
+
+def explained(sums: Metrics, kind: str) -> jax.Array:
+    """R² of the next ``state`` or of its ``change``, out of `one_step_sums`."""
+    return r_squared(
+        sums["state_error"], sums[f"{kind}_sum"], sums[f"{kind}_square"], sums["count"]
+    )
+
+
+def show(
+    dyna: Dyna, config: DynaConfig, state: DynaState, key: Key, hparams: DynaHParams
+) -> Metrics:
+    """Truth and predictions of one episode of the policy and one of a random policy, each
+    ``WHO_truth``, ``WHO_one_step``, ``WHO_open_loop`` ``[T, outputs]`` and ``WHO_length``.
+    """
+    if dyna.model is None:
+        return {}
+    predict, params, arrays = dyna.model.predict, state.model.params, {}
+    for who, key_episode in zip(SHOWN, jax.random.split(key), strict=True):
+        key_play, key_one, key_open = jax.random.split(key_episode, 3)
+        real = _play(dyna, config, state, key_play, hparams, 1, at_random=who == "random")
+        step = jax.tree.map(lambda leaf: leaf[0], one_step(predict, params, real, key_one))
+        free = open_loop(predict, params, real.obs[0, 0], real.action[0], key_open)
+        truth = jax.tree.map(lambda leaf: leaf[0], real)
+        for kind, said in zip(KINDS, (truth, step, free), strict=True):
+            columns = [said.next_obs, said.reward[:, None], said.terminated[:, None]]
+            arrays[f"{who}_{kind}"] = jnp.concatenate(columns, axis=1)
+        arrays[f"{who}_length"] = real.mask[0].sum()
+    return arrays
+
+
+def _play(dyna, config, state, key, hparams, episodes, at_random=False) -> Transition:
+    def act(obs, key):
+        if at_random:
+            return jax.random.randint(key, (), 0, dyna.env.num_actions)
+        return dyna.agent.act(state.agent, obs, key, hparams.agent)
+
+    return rollout(dyna.env, act, key, hparams.env, episodes, num_steps=config.num_steps)
+
+
+@cache
+def common_transitions(count: int = 400) -> Transition:
+    """The same new transitions for every model, ``[count, 1]``: of a controller that balances the
+    pole with none, some and all of its actions (`COMMON`) at random.
+    """
+    env = CartPole()
+
+    def play(share: float, key: Key) -> Transition:
+        def act(obs: jax.Array, key: Key) -> jax.Array:
+            key_which, key_random = jax.random.split(key)
+            balance = obs @ jnp.array([0.02, 0.05, 1.0, 0.5]) > 0
+            at_random = jax.random.bernoulli(key_random)
+            return jnp.where(jax.random.bernoulli(key_which, share), at_random, balance).astype(int)
+
+        return rollout(env, act, key, env.default_params, 20)
+
+    keys = jax.random.split(jax.random.key(2**20), len(COMMON))
+    play_jitted = jax.jit(play)
+    chosen, drawn = np.random.default_rng(0), []
+    for number, (share, key) in enumerate(zip(COMMON, keys, strict=True)):
+        played = jax.tree.map(np.asarray, play_jitted(share, key))
+        part = jax.tree.map(lambda leaf, mask=played.mask: leaf[mask], played)
+        size = count // len(COMMON) + (number < count % len(COMMON))
+        rows = chosen.choice(len(part.mask), size, replace=False)
+        drawn.append(jax.tree.map(lambda leaf, at=rows: leaf[at, None], part))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *drawn)
+
+
+def describe_dreams(options: Any, curves: Curves) -> Results:
+    """What the first dreams were like."""
+    return {"first_dreams": first_dreams(curves, options.dyna.num_real_first)}
+
+
+def describe(options: Any, curves: Curves) -> Results:
+    """One-step R² per state variable, of the next state and of its change."""
+    if "held_out" not in curves:
+        return {}
+    model: Results = {"held_out_transitions": int(curves["held_out"].sum())}
+    for kind in ("state", "change"):
+        model[f"one_step_r2_{kind}"] = {
+            name: {"mean": float(values.mean()), "min": float(values.min()),
+                   "per_seed": values.tolist()}
+            for name, values in zip(STATES, curves[f"r2_{kind}"].T, strict=True)
+        }  # fmt: skip
+    return {"model": model}
+
+
+def section(record: Any) -> str:
+    """The dreams and the model of each arm that has some; ``fig5_ARM.png``."""
+    return paragraphs(
+        *(_dreams(name, arm["first_dreams"]) + _model(name, arm, record)
+          for name, arm in record.results["arms"].items())
+    )  # fmt: skip
+
+
+def _dreams(name: str, dreams: Results) -> str:
+    if not dreams:
+        return ""
+    if not np.isfinite(dreams["fake_length"]):
+        return f"`{name}` had no dreams.\n\n"
+    return (
+        f"In the first {FIRST_DREAMS} episodes with dreams of `{name}` the median fake episode "
+        f"lasts {dreams['fake_length']:.0f} steps for a return of {whole(dreams['fake_return'])}, "
+        f"the median real one {dreams['real_length']:.0f}.\n\n"
+    )
+
+
+def _model(name: str, arm: Results, record: Any) -> str:
+    """An arm's model, unless it is the placebo's, which is none."""
+    if "model" not in arm or name.partition("@")[0] == "placebo":
+        return ""
+    rows = [
+        [state, *(f"{arm['model'][f'one_step_r2_{kind}'][state][part]:.4f}"
+                  for kind in ("state", "change") for part in ("mean", "min"))]
+        for state in STATES
+    ]  # fmt: skip
+    return paragraphs(
+        f"## The model of `{name}`",
+        f"One-step R² on {HELD_OUT_EPISODES} new episodes of each run's final policy "
+        f"({arm['model']['held_out_transitions']:,} transitions, none of them trained on). "
+        "The next state is easy to explain, because it is close to the state before; the "
+        "change of the state is the harder test.",
+        markdown_table(
+            ["variable", "next state: mean", "worst run", "change: mean", "worst run"], rows
+        ),
+        _predictions(name, record),
+    )
+
+
+def _predictions(name: str, record: Any) -> str:
+    """Fig. 5, where the first run was played."""
+    curves = record.curves[name]
+    if "show_policy_truth" not in curves:
+        return ""
+    episodes = {
+        title: {kind: curves[f"show_{who}_{kind}"][: int(curves[f"show_{who}_length"])]
+                for kind in KINDS}
+        for who, title in SHOWN.items()
+    }  # fmt: skip
+    file = f"fig5_{name}.png".replace("/", "_")
+    plots.prediction_figure(record.out / file, episodes, OUTPUTS)
+    return paragraphs(
+        f"![Fig. 5: predictions of the first run's model]({file})",
+        "The dashed line goes on from the model's own predictions under the recorded actions. An "
+        "unstable pole makes any small error grow there: those actions balanced the real pole, "
+        "not the slightly different one that is imagined. A policy that acts in a dream reacts to "
+        "what it sees in it.",
+    )

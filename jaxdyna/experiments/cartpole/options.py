@@ -1,0 +1,119 @@
+"""The settings of CartPole and its presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+import optax
+
+from jaxdyna.agents import CloningConfig, ReinforceConfig, ReinforceHParams
+from jaxdyna.agents.reinforce import per_step
+from jaxdyna.dyna import DynaConfig, DynaHParams
+from jaxdyna.envs import CartPoleParams
+from jaxdyna.experiments.engine import Options
+from jaxdyna.fields import LARGEST, changed, setting
+from jaxdyna.models import SupervisedConfig, SupervisedHParams
+from jaxdyna.planners import SearchConfig, ShootingConfig
+from jaxdyna.statistics import SolveRule
+
+STEPS = {"v0": 200, "v1": 500}
+RULES = {"v0": SolveRule(100, 195.0), "v1": SolveRule(100, 475.0)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CartPoleOptions(Options):
+    """REINFORCE on CartPole, with and without fake episodes from a learned model."""
+
+    decided: ClassVar = {
+        "dyna.num_episodes": "--episodes",
+        "dyna.num_steps": "--env-version",
+        "hparams.env.max_steps": "--env-version",
+        "mcts.considered": "the search, which is MuZero's",
+        "mcts.gumbel_scale": "the search, which is MuZero's",
+    }
+
+    arms: tuple[str, ...] = setting(("model_free", "dyna"), "what is played", everyday=True)
+    stop_after_solved: int | None = setting(
+        100, "real episodes that a run plays on once it has solved; None plays all", at_least=0,
+        everyday=True,
+    )  # fmt: skip
+    block: int = setting(
+        5, "runs computed together; a run's bits depend on this number and on nothing beside it",
+        at_least=1, everyday=True,
+    )  # fmt: skip
+    env_version: Literal["v0", "v1"] = setting(
+        "v0", "v0: 200 steps, solved at 195; v1: 500 steps, solved at 475", everyday=True
+    )
+    dream_start: Literal["observed", "uniform", "branched"] = setting(
+        "observed", "where dreams begin: first observations of real episodes, the authors' uniform "
+        "±0.1, or any observation of a real episode", everyday=True,
+    )  # fmt: skip
+    dream_noise: float = setting(
+        0.0, "standard deviation of noise on every predicted state, in those of the targets",
+        at_least=0,
+    )  # fmt: skip
+    authors_bug: bool = setting(
+        False, "whether the dreamed pole angle is overwritten with the cart's velocity, as the "
+        "authors' code does",
+    )  # fmt: skip
+    judged_on: Literal["own", "common"] = setting(
+        "own", "what a model is judged on: each real episode before it is trained on it, or the "
+        "same transitions for all models",
+    )  # fmt: skip
+    mcts_rollout: int = setting(
+        20, "steps of the random episode in the model that says what a node is worth", at_least=1
+    )
+    shown_episodes: int = setting(
+        20, "real episodes after the first N in which arms that imitate are shown what to do",
+        at_least=1,
+    )  # fmt: skip
+    dyna: DynaConfig = setting(
+        factory=lambda: DynaConfig(
+            num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
+            num_real_first=100, model_updates=60, model_batch=16, dream_updates=2,
+            dream_episodes=8,
+        )
+    )  # fmt: skip
+    agent: ReinforceConfig = setting(factory=lambda: ReinforceConfig(advantage=per_step))
+    model: SupervisedConfig = setting(
+        factory=lambda: SupervisedConfig(
+            delta=True, normalise=True, spread=3.0, weight_variance=1 / 3
+        )
+    )
+    mpc: ShootingConfig = setting(factory=lambda: ShootingConfig(30, 32, temperature=5.0))
+    mcts: SearchConfig = setting(factory=lambda: SearchConfig(simulations=16))
+    cloning: CloningConfig = setting(factory=CloningConfig)
+    hparams: DynaHParams = setting(
+        factory=lambda: DynaHParams(
+            agent=ReinforceHParams(), model=SupervisedHParams(), env=CartPoleParams(),
+            termination_threshold=0.1,
+        )
+    )  # fmt: skip
+
+    def resolved(self) -> Self:
+        """An episode is as long as ``--env-version`` says."""
+        steps = STEPS[self.env_version]
+        return changed(self, {
+            "dyna.num_episodes": self.episodes, "dyna.num_steps": steps,
+            "hparams.env.max_steps": steps,
+        })  # fmt: skip
+
+
+def rule(options: CartPoleOptions) -> SolveRule:
+    """When a run counts as solved."""
+    return RULES[options.env_version]
+
+
+TUNED = CartPoleOptions()
+LEAN = changed(TUNED, {
+    "preset": "lean", "episodes": 150, "stop_after_solved": None, "block": 1,
+    "dyna.num_real_first": 3, "dyna.model_updates": 100, "dyna.model_batch": 32,
+    "dyna.dream_updates": 20, "dyna.dream_episodes": 16, "dyna.rest_when_safe": True,
+    "dyna.rare_share": 0.25,
+    "model.hidden": (64, 64), "model.sum_loss": False, "model.one_hot": True, "model.ensemble": 3,
+    "model.spread": 1.0, "model.weight_variance": 1.0, "model.optimizer": optax.adam,
+    "hparams.agent.learning_rate": 0.02, "hparams.agent.discount": 0.995,
+    "hparams.model.learning_rate": 3e-3, "hparams.real_weight": 0.0,
+    "hparams.disagreement_threshold": 0.3,
+})  # fmt: skip

@@ -1,0 +1,238 @@
+"""Frame models of small grids that are seen from above: a class a channel, lit or not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, ClassVar, Literal
+
+import jax
+import jax.numpy as jnp
+
+from jaxdyna import frame_replay
+from jaxdyna.envs import FrameStack
+from jaxdyna.experiments.engine import Arm, Work
+from jaxdyna.experiments.frames.options import (
+    FrameOptions,
+    Training,
+    decayed_adam,
+    without_stages,
+)
+from jaxdyna.experiments.frames.training import frame_work, stages
+from jaxdyna.experiments.frames.worlds import Asked, Stage, World
+from jaxdyna.fields import setting
+from jaxdyna.frame_replay import FrameReplay
+from jaxdyna.losses import bce, l1, l2
+from jaxdyna.models import PixelConfig, frame_probability, pixels
+from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalReward, SignedReward
+from jaxdyna.replay import share_weight
+from jaxdyna.rollout import rollout
+from jaxdyna.types import Key, Transition
+
+RULES = {"lit": "threshold", "drawn": "drawing"}
+SAID = {
+    "paper": "Fig. 4 with the multi-label cross-entropy. Not in the paper: the number of channels "
+    "(the authors' code has 128), weight decay and the cosine, an action's factor of the product "
+    "that starts scattered around 1, nothing nonlinear between the dense layers and the product.",
+    "paper_l2": "the same under L2.",
+    "paper_l1": "the same under L1.",
+    "paper_reward": "the same as `paper` with a reward head.",
+    "lean": "ours: convolutions throughout.",
+    "lean_l2": "the same under L2.",
+    "lean_l1": "the same under L1.",
+}
+"""What the models are."""
+HEADS = {
+    "joint": JointReward(), "local": LocalReward(), "signed": SignedReward(), "none": None,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridOptions(FrameOptions):
+    """Frame models of a grid. A subclass has ``steps``, of an episode, and `world`.
+
+    Attributes:
+        dream_from: step of a held-out episode from which models dream.
+        own_head: the reward head of our models.
+        faint: see `World`.
+        kinds: see `World`.
+        channels: see `World`.
+    """
+
+    dream_from: ClassVar[int] = 10
+    own_head: ClassVar[str] = "local"
+    faint: ClassVar[float] = 0.05
+    kinds: ClassVar[int] = 4
+    channels: ClassVar[tuple[int, ...]] = (0, 1, 2)
+    steps: Any
+
+    arms: tuple[str, ...] = setting(("paper", "lean"), "the models that are trained", everyday=True)
+    episodes: int = setting(
+        300, "episodes of the random policy at the most", at_least=1, everyday=True
+    )
+    stages: tuple[int, ...] = setting(
+        (10, 30, 100, 300), "after how many of them a model is trained, from scratch, and judged; "
+        "those above --episodes are left out", at_least=1, everyday=True,
+    )  # fmt: skip
+    ablation_stage: int = setting(
+        100, "the stage at which losses are compared, the only one of models with another loss",
+        at_least=1, everyday=True,
+    )  # fmt: skip
+    widths: tuple[int, int, int] = setting(
+        (32, 32, 32), "channels of the paper's three convolutions", at_least=1
+    )
+    kernels: tuple[int, int, int] = setting((5, 4, 4), "cells a side of their kernels", at_least=1)
+    dense: int = setting(1024, "width of the paper's dense layer", at_least=1)
+    lean_widths: tuple[int, ...] = setting(
+        (32, 32, 32), "channels of our 3x3 convolutions", at_least=1
+    )
+    reward: Literal["own", "joint", "local", "signed", "none"] = setting(
+        "own", "reward head: joint, off the features of stack and action; signed, likewise a "
+        "class; local, a sum over cells of the predicted frame; own: none for the paper's models "
+        "but paper_reward, whose is joint",
+    )  # fmt: skip
+    paper: Training = setting(
+        factory=lambda: Training(8000, 40, 32, 3e-3, 0.4, None),
+        help="training of the paper's model",
+    )
+    lean: Training = setting(factory=Training, help="training of ours")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.played:
+            raise ValueError(
+                f"--episodes is {self.episodes}, less than the first of --stages: raise it"
+            )
+        side = min(self.world()[0].observation_space(self.world()[1]).shape[:2])
+        if any(arm.startswith("paper") for arm in self.arms) and sum(self.kernels) - 3 >= side:
+            raise ValueError(
+                f"--kernels {self.kernels} leave nothing of a world of {side} cells a side: "
+                "give smaller ones, or a larger world"
+            )
+        if self.dream_from + self.horizon > self.steps:
+            raise ValueError(
+                f"--horizon is {self.horizon}: {self.dream_from} steps and it, where dreams end, "
+                f"must be at most an episode's {self.steps} steps"
+            )
+
+    @property
+    def played(self) -> list[int]:
+        """The stages within ``episodes``, in order."""
+        return sorted({stage for stage in self.stages if stage <= self.episodes})
+
+    def world(self) -> tuple[FrameStack, Any]:
+        """The environment, its frames stacked, and its params: what ends in ``_reward`` is one."""
+        raise NotImplementedError
+
+
+def arms(options: GridOptions) -> dict[str, Callable[[], Arm]]:
+    """Every model at every stage; one with another loss at that of the ablation alone."""
+    made: dict[str, Callable[[], Arm]] = {}
+    for arm in SAID:
+        training = options.paper if arm.startswith("paper") else options.lean
+        played = options.played if arm in ("paper", "lean") else [near(options, options.played)]
+        program = without_stages(options, ("paper", "lean"))
+        parts = {str(stage): (stage, stage) for stage in played}
+        made |= stages(arm, lambda arm=arm, program=program: work(program, arm), training, parts)
+    return made
+
+
+def near(options: GridOptions, stages: Any) -> Any:
+    """The stage nearest to that at which losses are compared."""
+    return min(stages, key=lambda stage: abs(int(stage) - options.ablation_stage))
+
+
+@cache
+def work(options: GridOptions, arm: str) -> Work:
+    """A model's training: one object, and so one program, for the same settings."""
+    env, params = options.world()
+    config, shape = config_of(options, arm), env.env.observation_space(params).shape
+    model, drawing = (
+        pixels(shape, env.num_actions, each) for each in (config, replace(config, threshold=None))
+    )
+    believe = frame_probability(env.num_actions, config)
+    rules = (("lit", model.predict), ("drawn", drawing.predict))
+    asked = Asked(believe, rules, config.threshold or 0.5, config.reward is not None)
+    training = options.paper if arm.startswith("paper") else options.lean
+    world = random_episodes(options, training.rare_share)
+    return frame_work(world, model, asked, training.batch, options.block)
+
+
+def config_of(options: GridOptions, arm: str) -> PixelConfig:
+    """The model of this arm. The paper's threshold of 0.2 serves its cross-entropy; 0.5 serves
+    ours, and L1 and L2, whose outputs are no probabilities.
+    """
+    papers = arm.startswith("paper")
+    loss = {"l1": l1, "l2": l2}.get(arm.partition("_")[2], bce)
+    training = options.paper if papers else options.lean
+    own = "joint" if arm == "paper_reward" else ("none" if papers else options.own_head)
+    network: Any = LocalDynamics(3, options.lean_widths)
+    if papers:
+        network = EncoderDecoder(3, options.widths, options.kernels, options.dense)
+    return PixelConfig(
+        network, loss, 0.2 if papers and loss is bce else 0.5,
+        HEADS[own if options.reward == "own" else options.reward], training.reward_weight,
+        optimizer=decayed_adam(training.weight_decay),
+    )  # fmt: skip
+
+
+@cache
+def random_episodes(options: GridOptions, rare_share: float | None) -> World:
+    """A uniformly random policy's episodes, all of which last ``options.steps``; a stage's part is
+    how many of them, the first, are learned from.
+    """
+    env, params = options.world()
+    smallest = [abs(value) for name, value in vars(params).items() if name.endswith("_reward")]
+
+    def act(obs: jax.Array, key: Key) -> jax.Array:
+        return jax.random.randint(key, (), 0, env.num_actions)
+
+    def play(key: Key, episodes: int) -> Transition:
+        return rollout(env, act, key, params, episodes, num_steps=options.steps)
+
+    def data(key: Key, key_new: Key, stage: Stage) -> Any:
+        whole = collected(lambda key: play(key, 1), key, options.episodes, options.steps)
+        held, weight = first_episodes(whole, stage.part, options.steps), None
+        if rare_share is not None:
+            reward = held.rest["reward"]
+            weight = share_weight(held.held, jnp.stack([reward < 0, reward > 0]), rare_share)
+        return held, weight, play(key_new, options.held_out)
+
+    def sample(data: Any, key: Key, stage: Stage, size: int) -> Transition:
+        return frame_replay.sample(data[0], key, (size,), data[1])
+
+    def take(data: Any, episode: Any, times: jax.Array) -> Transition:
+        return jax.tree.map(lambda leaf: leaf[episode, times], data[2])
+
+    def truth(data: Any, episode: Any, times: jax.Array) -> jax.Array:
+        return take(data, episode, times).next_obs[..., -3:] > 0
+
+    return World(
+        data, sample, take, truth, options.held_out, options.steps, (options.dream_from,),
+        options.horizon, options.channels, lambda data: (0, max(options.dream_from - 1, 0)),
+        faint=options.faint, kinds=options.kinds,
+        tolerance=min(filter(None, smallest), default=1.0) / 2,
+    )  # fmt: skip
+
+
+def collected(
+    play: Callable[[Key], Transition], key: Key, episodes: int, steps: int
+) -> FrameReplay:
+    """A replay of so many episodes, which ``play`` makes one by one."""
+    shapes = jax.eval_shape(play, key)
+    example = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[2:], leaf.dtype), shapes)
+    empty = frame_replay.init(episodes * steps, episodes, example)
+
+    def more(carry: tuple[FrameReplay, Key], _: None) -> tuple[tuple[FrameReplay, Key], None]:
+        held, key = carry
+        key, key_play = jax.random.split(key)
+        return (frame_replay.add(held, play(key_play)), key), None
+
+    return jax.lax.scan(more, (empty, key), length=episodes)[0][0]
+
+
+def first_episodes(held: FrameReplay, episodes: Any, steps: int) -> FrameReplay:
+    """The replay as it was after so many (traced) episodes, which all lasted to their horizon."""
+    count = jnp.asarray(episodes, jnp.int32)
+    return replace(held, added=count * steps, episodes_added=count)

@@ -1,0 +1,71 @@
+"""Settings that all experiments on frames have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any, ClassVar, TypeVar
+
+import optax
+
+from jaxdyna import fields
+from jaxdyna.experiments.engine import Options
+from jaxdyna.fields import changed, setting
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a model is trained, from scratch at each stage."""
+
+    updates: int = setting(5000, "gradient steps, however few the episodes", at_least=1)
+    updates_per_episode: float = setting(
+        0.0, "as many gradient steps more for each episode of data", at_least=0
+    )
+    batch: int = setting(32, "transitions in a gradient step", at_least=1)
+    learning_rate: float = setting(
+        5e-3, "Adam's at the start; it falls to 0 along half a cosine", above=0
+    )
+    weight_decay: float = setting(
+        0.0, "of AdamW (Loshchilov and Hutter 2019); 0 is Adam", at_least=0
+    )
+    rare_share: float | None = setting(
+        0.5, "at least this share of a batch are steps with a reward below or above 0, half each "
+        "where there are both; None: as they come", at_least=0, at_most=1,
+    )  # fmt: skip
+    reward_weight: float = setting(
+        1.0, "of the reward's squared error beside the frame's loss", at_least=0
+    )
+
+    def __post_init__(self) -> None:
+        fields.check(self)
+
+    def updates_at(self, episodes: int) -> int:
+        """Gradient steps on so many episodes."""
+        return self.updates + round(self.updates_per_episode * episodes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameOptions(Options):
+    """What every experiment on frames can be told."""
+
+    decided: ClassVar = {"stop_after_solved": "the model's updates"}
+
+    held_out: int = setting(20, "new episodes that models are judged on", at_least=1, everyday=True)
+    horizon: int = setting(50, "steps of an open-loop dream", at_least=1, everyday=True)
+
+
+def without_stages(options: T, trainings: Sequence[str]) -> T:
+    """The options without what `Stage` holds of these trainings: what decides the program."""
+    stages = {"updates": 1, "updates_per_episode": 0.0, "learning_rate": 1.0}
+    return changed(options, {
+        f"{name}.{field}": value for name in trainings for field, value in stages.items()
+    })  # fmt: skip
+
+
+@cache
+def decayed_adam(weight_decay: float, b1: float = 0.9) -> Any:
+    """AdamW: one object, and so one program, for the same settings."""
+    return partial(optax.adamw, b1=b1, weight_decay=weight_decay)

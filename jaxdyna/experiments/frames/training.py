@@ -1,0 +1,95 @@
+"""Training a frame model as work, whose unit is a gradient step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from jaxdyna.experiments.engine import Arm, Work
+from jaxdyna.experiments.frames import judging
+from jaxdyna.experiments.frames.options import Training
+from jaxdyna.experiments.frames.worlds import Asked, Stage, World
+from jaxdyna.models import PixelHParams
+from jaxdyna.types import DynamicsModel, Key
+
+PIECE = 100
+
+
+@struct.dataclass
+class Learner:
+    """A run between two gradient steps: the key that all of them use, and the model's state."""
+
+    key: Key
+    model: Any
+
+
+@cache
+def frame_work(
+    world: World,
+    model: DynamicsModel,
+    asked: Asked,
+    batch: int,
+    block: int = 1,
+    hparams_of: Callable[[Any], Any] = PixelHParams,
+) -> Work:
+    """A model's training, and its judging on new episodes. A run's key gives all models and stages
+    the same episodes.
+
+    Args:
+        world: where.
+        model: what is trained.
+        asked: what it is asked when it is judged.
+        batch: transitions in a gradient step.
+        block: see `Work`.
+        hparams_of: from a learning rate to the model's hparams.
+    """
+
+    def init(key: Key, stage: Stage) -> Learner:
+        del stage
+        key, key_init = jax.random.split(key)
+        return Learner(jax.random.split(key)[0], model.init(key_init, hparams_of(0.0)))
+
+    def data(key: Key, stage: Stage) -> Any:
+        key, _, key_data = jax.random.split(key, 3)
+        key_new = jax.random.split(jax.random.split(key)[1])[0]
+        return world.data(key_data, key_new, stage)  # type: ignore[misc]
+
+    def step(learner: Learner, data: Any, number: jax.Array, stage: Stage) -> Any:
+        key = jax.random.fold_in(jax.random.clone(learner.key), number)
+        key_sample, key_update = jax.random.split(key)
+        transitions = world.sample(data, key_sample, stage, batch)
+        rate = 0.5 * (1 + jnp.cos(jnp.pi * number / stage.updates)) * stage.learning_rate
+        state, losses = model.update(learner.model, transitions, key_update, hparams_of(rate))
+        return learner.replace(model=state), {"show_frame_loss": losses["frame_loss"]}
+
+    def ask(about: Callable[..., judging.Judgement]) -> Any:
+        return lambda learner, data, key, _: about(world, asked, learner.model.params, data, key)
+
+    return Work(
+        init, step, data if world.data else None, world.collect, ask(judging.judge),
+        ask(judging.show), PIECE, block,
+    )  # fmt: skip
+
+
+def stages(
+    model: str, work: Callable[[], Work], training: Training, parts: Mapping[str, tuple[int, int]]
+) -> dict[str, Callable[[], Arm]]:
+    """A model's arms.
+
+    Args:
+        model: its name.
+        work: its training, the same object whenever it is called.
+        training: how.
+        parts: by the stage's name `Stage.part`, and how many episodes that are.
+    """
+
+    def arm(part: int, episodes: int) -> Arm:
+        updates = training.updates_at(episodes)
+        return Arm(work(), Stage(part, updates, training.learning_rate), updates)
+
+    return {f"{model}@{name}": partial(arm, *part) for name, part in parts.items()}

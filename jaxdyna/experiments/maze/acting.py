@@ -1,0 +1,214 @@
+"""Learning to act in the Maze, with and without dreams (§4.2, Fig. 8, Table 2): the experiment and
+its report.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdyna.envs import Maze, MazeParams, MazeState
+from jaxdyna.experiments.engine import Experiment
+from jaxdyna.experiments.maze.arms import SAID, STARTS, arms
+from jaxdyna.experiments.maze.options import LEAN, QUICK, TUNED, MazeOptions
+from jaxdyna.experiments.report import frames
+from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report.summaries import last_mean, mean_of_runs
+from jaxdyna.experiments.report.tables import markdown_table, with_interval
+from jaxdyna.statistics import SolveRule, episodes_to_solve
+
+RULE = SolveRule(50, 0.95, "oracle_return")
+PAPER = {"model_free": 700.0, "dyna": 250.0}
+PAPER_RATIO = {"dyna": 0.36}
+PAPER_N = 100
+BEHAVIOUR = {"collisions": "collisions an episode", "time_to_goal": "steps until the goal"}
+WRONG = {
+    "wrong_frames": "share of new frames predicted wrong",
+    "wrong_rewards": "share of new rewards predicted wrong",
+}
+TRAINED = ("dyna", "mpc", "mcts", "mpc_init")
+"""Arms with a model that learns."""
+FILMED = (1, 50, 100, 200)
+FILM_STEPS = 100
+SMOOTHED = 10
+
+
+def describe(options: MazeOptions, curves: Any) -> dict[str, Any]:
+    """The final greedy policy in numbers, and how wrong the model is."""
+    share = curves["greedy_return"].mean(1) / curves["greedy_oracle"].mean(1)
+    hits = curves["greedy_collisions"].mean(1)
+    first = max(options.dyna.num_real_first, 1) - 1 + SMOOTHED
+    model = {
+        wrong: {
+            when: float(last_mean(curves[wrong][:, :end], SMOOTHED).mean())
+            for when, end in (("first_dreams", first), ("last", None))
+        }
+        for wrong in WRONG
+        if wrong in curves
+    }
+    greedy = {"share": mean_of_runs(share), "collisions": mean_of_runs(hits)}
+    return {"greedy": greedy, "model": model}
+
+
+def model_errors(record: Any) -> str:
+    """How wrong the learned models are on real episodes that are new to them."""
+    header = [f"{what} wrong: {when} ten episodes{dreams}"
+              for when, dreams in (("first", " with dreams"), ("last", ""))
+              for what in ("frames", "rewards")]  # fmt: skip
+    rows = [
+        [name, *(f"{arm['model'][wrong][when]:.2%}" for when in ("first_dreams", "last")
+                 for wrong in WRONG)]
+        for name, arm in record.results["arms"].items()
+        if arm["model"]
+    ]  # fmt: skip
+    return markdown_table(["model of", *header], rows) if rows else ""
+
+
+def films(record: Any) -> str:
+    """Films of the first run's real episodes at stages of its training."""
+    shown = {
+        name: curves for name, curves in report.drawn(record, ()).items() if "show_action" in curves
+    }
+    for name, curves in shown.items():
+        frames.film(record.out / f"film_{name}.gif", _stages(record.options, curves), first_step=0)
+    if not shown:
+        return ""
+    return report.paragraphs(
+        f"Real episodes of the first run, their first {FILM_STEPS} steps. Blue is the agent, red "
+        "an obstacle, green the goal; where they were before is fainter.",
+        *(f"![real episodes of {name}](film_{name}.gif)" for name in shown),
+    )
+
+
+def _stages(options: MazeOptions, curves: Any) -> dict[str, np.ndarray]:
+    """Frames of real episodes of the first run, by title: the last is the one that it solved with,
+    or else the last of all.
+    """
+    played = len(curves["show_action"])
+    solved_at = episodes_to_solve(RULE.score(curves), RULE)[0]
+    end, first = int(min(solved_at, played)), max(options.dyna.num_real_first, 1)
+    stages = sorted({number for number in (*FILMED, first, first + 10, end) if number <= end})
+    titles = {number: f"episode {number}" for number in stages}
+    titles[end] += " (solved)" if solved_at <= played else " (last, unsolved)"
+    maze, parts = Maze(options.size, options.obstacles), ("obstacles", "directions", "action")
+    return {
+        title: frames.trails(
+            replay(maze, *(curves[f"show_{part}"][number - 1] for part in parts))[:FILM_STEPS]
+        )
+        for number, title in titles.items()
+    }
+
+
+def replay(
+    maze: Maze, obstacles: np.ndarray, directions: np.ndarray, actions: np.ndarray
+) -> np.ndarray:
+    """The frames of an episode, uint8 ``[T + 1, H, W, 3]``: nothing in the Maze is random once its
+    obstacles are placed.
+
+    Args:
+        maze: which.
+        obstacles: cells at the start ``[n, 2]``.
+        directions: ``[n]``.
+        actions: ``[T]``.
+    """
+
+    def play(obstacles: jax.Array, directions: jax.Array, actions: jax.Array) -> jax.Array:
+        agent, goal = jnp.array(maze.start_cell), jnp.array(maze.goal_cell)
+        start = MazeState(agent, goal, obstacles, directions, jnp.int32(0))
+
+        def step(state: MazeState, action: jax.Array) -> tuple[MazeState, jax.Array]:
+            state = maze.step(jax.random.key(0), state, action, MazeParams())[1]
+            return state, maze.frame(state)
+
+        frames = jax.lax.scan(step, start, actions)[1]
+        return jnp.concatenate([maze.frame(start)[None], frames])
+
+    as_int = (jnp.asarray(part, jnp.int32) for part in (obstacles, directions, actions))
+    return np.asarray(jax.jit(play)(*as_int))
+
+
+def final(record: Any) -> str:
+    """How good the final policies are."""
+    rows = [
+        [name, *(with_interval(arm["greedy"][of], 3) for of in ("share", "collisions"))]
+        for name, arm in record.results["arms"].items()
+    ]
+    return report.paragraphs(
+        "## The final policy",
+        f"Greedy, each run's on {STARTS:,} new starts, as it is after the run's last episode: "
+        "share of the oracle's return, and collisions an episode; 95% intervals over runs.",
+        markdown_table(["arm", "share of the oracle's return", "collisions"], rows),
+    )
+
+
+def differences(record: Any) -> str:
+    """What is not the paper's."""
+    options, agent, hparams = record.options, record.options.agent, record.options.hparams.agent
+    n = options.dyna.num_real_first
+    said = {
+        "Double DQN": agent.double,
+        "dueling values and Huber's loss": True,
+        "draws by priority": hparams.priority_exponent > 0,
+        "acting by the averaged network": agent.act_by_target,
+        "dense layers that are normalised": True,
+        "glimpses instead of convolutions": options.network == "glimpse",
+        "a discount below 1 (the authors' code has 1)": hparams.discount < 1,
+        "directed exploration": agent.drift > 0,
+        "exploring until a reward": agent.explore_until_rewarded,
+        "no exploring in the end": hparams.epsilon_last == 0,
+        "the number of updates (the authors' code makes one a real step)": True,
+        "several short dreams after each real episode, which begin at replayed frames": True,
+        "a model of local convolutions instead of Fig. 4, its pixels lit from 0.5 on (the "
+        "paper's from 0.2)": options.model == "local",
+        "rewards read off the predicted picture as a sum over its cells": True,
+        "rare steps drawn more often for the model, collisions and goal steps in equal parts":
+        options.dyna.rare_share is not None,
+        f"N = {n} (the paper's is {PAPER_N})": n != PAPER_N,
+    }  # fmt: skip
+    text = "; ".join(text for text, applies in said.items() if applies)
+    return f"Not the paper's, or not said there: {text}."
+
+
+def rule(options: MazeOptions) -> SolveRule:
+    """When a run counts as solved."""
+    return RULE
+
+
+MAZE = Experiment(
+    name="maze",
+    title="The Maze: learning to act",
+    presets={"tuned": TUNED, "lean": LEAN},
+    quick=QUICK,
+    arms=arms,
+    rule=rule,
+    describe=(describe,),
+    sections=(
+        report.solving(
+            rule, PAPER, PAPER_RATIO, "The oracle's return is the most that could be had from an "
+            "episode's own start (value iteration).",
+        ),
+        report.learning_curves(
+            rule, "fig8.png", "Fig. 8: share of the oracle's return against real episodes",
+            "share of oracle", SMOOTHED,
+        ),
+        lambda record: f"The figure's running mean is shorter than the rule's {RULE.window} "
+        "episodes: a curve may be above the line before a run has solved.",
+        report.endings(rule),
+        lambda record: "## What is learned, when",
+        report.behaviour(
+            BEHAVIOUR, SMOOTHED,
+            said="An episode that never comes to the goal counts as one step more than it has.",
+        ),
+        report.behaviour(
+            WRONG, SMOOTHED, "model.png", "A frame is predicted wrong where any pixel is, one step "
+            "ahead, and a reward by half a point; each real episode is judged before the model "
+            "learns from it. An untrained model, which is always wrong, is not drawn.", TRAINED,
+        ),
+        model_errors, films, final, report.arms_said(SAID), report.settings, differences,
+        report.spent,
+    ),
+    summary=report.solve_summary("Maze", PAPER, PAPER_RATIO),
+)  # fmt: skip

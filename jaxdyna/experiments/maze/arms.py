@@ -1,0 +1,147 @@
+"""The arms of learning to act, what is kept of their episodes, and what is judged of them. Dreams
+of all arms begin where those of ``dyna`` do and are as many and as long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxdyna.agents import DQNConfig, dqn
+from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, Metrics
+from jaxdyna.envs import FrameStack, Maze, MazeParams, StackState
+from jaxdyna.envs.maze import MOVES
+from jaxdyna.experiments.frames.options import decayed_adam
+from jaxdyna.experiments.maze.frames import TUNED as FRAMES
+from jaxdyna.experiments.maze.options import MazeOptions
+from jaxdyna.experiments.maze.oracle import true_dream
+from jaxdyna.experiments.maze.planned import planned
+from jaxdyna.experiments.study import arms as study
+from jaxdyna.experiments.study.frames import frame_dyna
+from jaxdyna.losses import bce, l1, l2
+from jaxdyna.models import PixelConfig, pixels
+from jaxdyna.networks import ConvolutionalQ, EncoderDecoder, GlimpseQ, LocalDynamics
+from jaxdyna.planners import solve_maze
+from jaxdyna.rollout import first_states, rollout
+from jaxdyna.types import Key, Transition
+
+STARTS, AT_ONCE = 1000, 100
+SAID = study.SAID | {
+    "oracle": "the same dreams in the true maze, from where those of `dyna` begin.",
+    "mpc": "after the first N episodes the best of random action sequences in the learned model "
+    "acts, the agent's values for what comes after them. No dreams.",
+    "mcts": "likewise MuZero's tree search, the agent's values at its leaves and for its prior's "
+    "log odds. No dreams.",
+    "mpc_init": "`mpc` plays some episodes, which the agent learns from and imitates by a margin "
+    "loss; it goes on model-free. No dreams.",
+}
+
+
+def arms(options: MazeOptions) -> dict[str, study.Made]:
+    """What makes each arm."""
+    maze, agent = Maze(options.size, options.obstacles), agent_of(options)
+    model, hooks = model_of(options), study.Hooks(judge, piece=10, block=options.block)
+    dyna, dreamless = parts(maze, agent, model), replace(options.dyna, dream_updates=0)
+    made = study.standard_arms(
+        dyna, options.dyna, options.hparams, true_dream(maze), hooks,
+        real_only=study.real_steps, busier=parts(maze, study.busy(agent), model).agent,
+    )  # fmt: skip
+
+    def arm(make: Callable[[], Dyna]) -> study.Made:
+        return lambda: study.dyna_arm(make(), dreamless, options.hparams, hooks)
+
+    return made | {name: arm(make) for name, make in planned(options, dyna, agent).items()}
+
+
+def agent_of(options: MazeOptions) -> DQNConfig:
+    """DQN's counts and network, with room for what a run can add to its replays and no more."""
+    networks = {
+        "convolutions": ConvolutionalQ(len(MOVES), options.convolutions, options.dense),
+        "glimpse": GlimpseQ(len(MOVES)),
+    }
+    return replace(study.sized(options.agent, options.dyna), network=networks[options.network])
+
+
+def model_of(options: MazeOptions) -> PixelConfig:
+    """The model's network, loss and optimiser. The paper's threshold of 0.2 serves its
+    cross-entropy.
+    """
+    loss = {"bce": bce, "l1": l1, "l2": l2}[options.model_loss]
+    if options.model == "local":
+        return PixelConfig(LocalDynamics(3, options.model_widths), loss)
+    coder = EncoderDecoder(3, FRAMES.widths, FRAMES.kernels, FRAMES.dense)
+    threshold = 0.2 if loss is bce else 0.5
+    return PixelConfig(coder, loss, threshold, optimizer=decayed_adam(FRAMES.paper.weight_decay))
+
+
+@cache
+def parts(maze: Maze, agent: DQNConfig, model: PixelConfig) -> Dyna:
+    """The parts of ``dyna``: one object, and so one program, for the same settings."""
+    env, shape = FrameStack(maze), (maze.size, maze.size, 3)
+    learner = dqn(shape, env.num_actions, agent)
+
+    def watch(real: Transition, begun: StackState, params: MazeParams) -> Metrics:
+        return behaviour(maze, real, begun, params)
+
+    return frame_dyna(env, learner, pixels(shape, env.num_actions, model), watch)
+
+
+def behaviour(maze: Maze, real: Transition, begun: StackState, params: MazeParams) -> Metrics:
+    """What a real episode was like, and what was to be had in it.
+
+    Args:
+        maze: the true one.
+        real: one episode ``[1, T]``.
+        begun: the state it began in ``[1]``.
+        params: the maze's.
+
+    Returns:
+        ``oracle_return``; ``collisions``; ``time_to_goal``, the steps until it is first reached,
+        one more than the episode has where it is not; ``show_...``: what a film of it needs.
+    """
+    steps = real.action.shape[1]
+    red, green, blue = jnp.moveaxis(real.next_obs[0, ..., -3:] > 0, -1, 0)
+    collision, at_goal = ((one & blue).any((-1, -2)) for one in (red, green))
+    reached = jnp.where(at_goal.any(), jnp.argmax(at_goal), steps) + 1
+    start = jax.tree.map(lambda leaf: leaf[0], begun.env)
+    return {
+        "oracle_return": solve_maze(maze, start, params, steps).best_return,
+        "collisions": collision.sum().astype(jnp.float32),
+        "time_to_goal": reached.astype(jnp.float32),
+        "show_action": real.action[0].astype(jnp.int8),
+        "show_obstacles": start.obstacles.astype(jnp.int8),
+        "show_directions": start.directions.astype(jnp.int8),
+    }
+
+
+def judge(
+    dyna: Dyna, config: DynaConfig, state: DynaState, key: Key, hparams: DynaHParams
+) -> Metrics:
+    """The final greedy policy on new starts: ``greedy_return``, ``greedy_oracle``, the most that
+    was to be had, and ``greedy_collisions``, each ``[starts]``.
+    """
+    params, steps = hparams.env, config.num_steps
+    env: Any = dyna.env
+    greedy = study.greedy(hparams.agent)
+
+    def act(obs: jax.Array, key: Key) -> jax.Array:
+        return dyna.agent.act(state.agent, obs, key, greedy)
+
+    def some(key: Key) -> Metrics:
+        played = rollout(env, act, key, params, AT_ONCE, num_steps=steps)
+        starts = first_states(env, jax.random.clone(key), params, AT_ONCE).env
+        plans = jax.vmap(lambda start: solve_maze(env.env, start, params, steps))(starts)
+        hit = (played.next_obs[..., -3] & played.next_obs[..., -1]).any((-1, -2))
+        return {
+            "greedy_return": played.reward.sum(-1),
+            "greedy_oracle": plans.best_return,
+            "greedy_collisions": hit.sum(-1),
+        }
+
+    judged = jax.lax.map(some, jax.random.split(key, STARTS // AT_ONCE))
+    return jax.tree.map(jnp.ravel, judged)

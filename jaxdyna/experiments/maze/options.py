@@ -1,0 +1,129 @@
+"""The settings of learning to act."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+from jaxdyna.agents import CloningConfig, DQNConfig, DQNHParams
+from jaxdyna.agents.cloning import margin_loss
+from jaxdyna.dyna import DynaConfig, DynaHParams
+from jaxdyna.envs import MazeParams
+from jaxdyna.experiments.engine import Options, Overrides
+from jaxdyna.experiments.maze.frames import TUNED as FRAMES
+from jaxdyna.fields import LARGEST, SettingError, changed, setting
+from jaxdyna.models import PixelHParams
+from jaxdyna.planners import SearchConfig, ShootingConfig
+
+EVERY_ACTION = "MuZero's search, which looks at every action"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MazeOptions(Options):
+    """DQN in the Maze, with and without fake episodes from a learned model."""
+
+    decided: ClassVar = {
+        "dyna.num_episodes": "--episodes",
+        "dyna.num_steps": "--steps",
+        "agent.network": "--network",
+        "hparams.env.max_steps": "--steps",
+        "mpc.discount": "--hparams.agent.discount",
+        "mcts.discount": "--hparams.agent.discount",
+        "mcts.considered": EVERY_ACTION,
+        "mcts.gumbel_scale": EVERY_ACTION,
+        "cloning.capacity": "--shown-episodes",
+    }
+
+    arms: tuple[str, ...] = setting(("model_free", "dyna"), "what is played", everyday=True)
+    episodes: int = setting(500, "real episodes of a run at the most", at_least=1, everyday=True)
+    stop_after_solved: int | None = setting(
+        0, "real episodes that a run plays on once it has solved; None plays all", at_least=0,
+        everyday=True,
+    )  # fmt: skip
+    size: int = setting(16, "cells a side of the board", at_least=2, everyday=True)
+    obstacles: int = setting(5, "how many obstacles", at_least=0, everyday=True)
+    steps: int = setting(200, "steps of a real episode", at_least=1, everyday=True)
+    network: Literal["convolutions", "glimpse"] = setting(
+        "convolutions", "network of the agent, the same in all arms: three convolutions and a "
+        "dense layer, or what is around the places of a few things, at first one of each colour",
+        everyday=True,
+    )  # fmt: skip
+    convolutions: tuple[int, int, int] = setting(
+        (16, 16, 32), "channels of the network's convolutions: one of 2x2 cells at a stride of 2, "
+        "two of 3x3", at_least=1,
+    )  # fmt: skip
+    dense: int = setting(128, "width of the dense layer after the network's convolutions",
+                         at_least=1)  # fmt: skip
+    model: Literal["local", "paper"] = setting(
+        "local", "network of the model: 3x3 convolutions, or Fig. 4, slower and to be trained for "
+        "much longer; both read the reward off the picture that they predict", everyday=True,
+    )  # fmt: skip
+    model_widths: tuple[int, ...] = setting((32, 32), "channels of the local model's convolutions",
+                                            at_least=1)  # fmt: skip
+    model_loss: Literal["bce", "l2", "l1"] = setting("bce", "loss of the model's pixels")
+    shown_episodes: int = setting(
+        10, "real episodes after the first N in which mpc_init is shown what to do", at_least=1
+    )
+    dyna: DynaConfig = setting(
+        factory=lambda: DynaConfig(
+            num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
+            model_updates=50, model_batch=32, rare_share=0.25, dream_episodes=400, dream_steps=5,
+        )
+    )  # fmt: skip
+    agent: DQNConfig = setting(
+        factory=lambda: DQNConfig(
+            updates=50, fake_updates=400, fake_capacity=64_000, explore_until_rewarded=True
+        )
+    )
+    hparams: DynaHParams = setting(
+        factory=lambda: DynaHParams(
+            agent=DQNHParams(epsilon_hold=30.0, target_rate=0.02),
+            model=PixelHParams(3e-3),
+            env=MazeParams(),
+        )
+    )
+    mpc: ShootingConfig = setting(factory=lambda: ShootingConfig(5, 32, drift=1.0))
+    mcts: SearchConfig = setting(factory=lambda: SearchConfig(simulations=32))
+    cloning: CloningConfig = setting(
+        factory=lambda: CloningConfig(learning_rate=1e-3, loss=margin_loss, learns_too=True)
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        way, free = 2 * self.size - 2, self.size**2 - 2
+        if self.steps <= way:
+            raise SettingError("steps", f"is {self.steps}: the goal is {way} steps away, give more")
+        if self.obstacles > free:
+            raise SettingError("obstacles", f"is {self.obstacles}: there are {free} free cells")
+        if self.model == "paper" and self.size < (least := sum(FRAMES.kernels) - 2):
+            raise SettingError(
+                "size", f"is {self.size}: --model paper needs a larger one, {least} at least, or "
+                "choose --model local",
+            )  # fmt: skip
+
+    def resolved(self) -> Self:
+        """Episodes are so many steps; planners discount as the agent does."""
+        steps, discount = self.steps, self.hparams.agent.discount
+        return changed(self, {
+            "dyna.num_episodes": self.episodes, "dyna.num_steps": steps,
+            "dyna.dream_steps": min(self.dyna.dream_steps or steps, steps),
+            "hparams.env.max_steps": steps, "cloning.capacity": self.shown_episodes * steps,
+            "mpc.discount": discount, "mcts.discount": discount,
+        })  # fmt: skip
+
+
+TUNED = MazeOptions()
+LEAN = changed(TUNED, {
+    "preset": "lean", "network": "glimpse", "episodes": 150, "stop_after_solved": 50,
+    "dyna.num_real_first": 15, "dyna.model_updates": 100, "agent.updates": 100,
+    "hparams.agent": DQNHParams(epsilon_hold=15.0, epsilon_episodes=5.0),
+})  # fmt: skip
+_FEW: Overrides = {"seeds": 2, "size": 6, "obstacles": 1, "steps": 40, "episodes": 80}
+QUICK: dict[str, Overrides] = {
+    "tuned": {
+        **_FEW,
+        "dyna.num_real_first": 15, "hparams.agent.epsilon_hold": 5.0,
+        "hparams.agent.epsilon_episodes": 10.0,
+    },
+    "lean": _FEW,
+}  # fmt: skip

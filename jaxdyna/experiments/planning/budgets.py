@@ -1,0 +1,168 @@
+"""What decisions cost and what they earn: a policy's forward pass beside planners of many budgets.
+
+Every contender plays the same episodes of the real environment; its decisions are timed apart from
+that, for one environment and for a batch of them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxdyna.envs import Revealed
+from jaxdyna.experiments.engine import Results
+from jaxdyna.rollout import first_states, rollout
+from jaxdyna.statistics import bootstrap_interval
+from jaxdyna.types import Environment, Key
+
+REPEATS, TIMED_SECONDS = 5, 0.3
+
+
+class Contender(NamedTuple):
+    """Who decides.
+
+    Attributes:
+        who: its kind: a policy, a planner.
+        world: what it plans in, "-" where nothing is planned.
+        steps: steps of that world a decision.
+        act: ``(learned, obs, state, key) -> action`` from what one run has learned, what is seen,
+            and the true state, which only planners in the true environment may look at.
+    """
+
+    who: str
+    world: str
+    steps: int
+    act: Callable[[Any, jax.Array, Any, Key], jax.Array]
+
+    @property
+    def label(self) -> str:
+        """Its kind and its world."""
+        return self.who if self.world == "-" else f"{self.who} ({self.world} world)"
+
+
+class Ground(NamedTuple):
+    """Where they play.
+
+    Attributes:
+        name: of the environment.
+        env: the real environment.
+        params: its parameters.
+        learned: what runs have learned, ``[runs, ...]``.
+        num_steps: of an episode.
+        best: ``(state, params) -> return``: the most that could be had from a start.
+        key: random key of the episodes.
+        episodes: how many with what each run has learned.
+        batch: environments that are decided for at once in the second timing.
+    """
+
+    name: str
+    env: Environment
+    params: Any
+    learned: Any
+    num_steps: int
+    best: Callable[[Any, Any], jax.Array]
+    key: Key
+    episodes: int
+    batch: int
+
+
+def measure(
+    ground: Ground, contenders: Iterable[Contender], say: Callable[[str], None]
+) -> list[Results]:
+    """A row a contender: its returns, their share of what could be had, how much more that is than
+    the first contender's, and milliseconds.
+    """
+    best = best_returns(ground)
+    rows: list[Results] = []
+    for contender in contenders:
+        returns = play(ground, contender.act)
+        first = np.array(rows[0]["returns"]) if rows else returns
+        both = np.stack([returns, best, first], axis=-1)
+        apart = both.sum(1) if len(both) > 2 else both.reshape(-1, 3)  # by run or episode
+        said = f"{contender.label}, {contender.steps} steps"
+        rows.append(
+            {
+                "environment": ground.name,
+                "who": contender.who,
+                "world": contender.world,
+                "steps": contender.steps,
+                "returns": returns.tolist(),
+                "share": float(returns.sum() / best.sum()),
+                "share_ci95": bootstrap_interval(
+                    apart, lambda parts: parts[..., 0].sum(-1) / parts[..., 1].sum(-1)
+                ),
+                "gain": float((returns - first).sum() / best.sum()),
+                "gain_ci95": bootstrap_interval(
+                    apart,
+                    lambda parts: (parts[..., 0] - parts[..., 2]).sum(-1) / parts[..., 1].sum(-1),
+                ),
+                "ms": milliseconds(ground, contender.act, 1),
+                "batch": ground.batch,
+                "ms_in_batch": milliseconds(ground, contender.act, ground.batch) / ground.batch,
+            }
+        )
+        say(f"{ground.name}: {said}: share {rows[-1]['share']:.3f}, {rows[-1]['ms']:.3g} ms")
+    return rows
+
+
+def best_returns(ground: Ground) -> np.ndarray:
+    """The most that could be had in each episode, ``[runs, episodes]``."""
+
+    def best(key: Key) -> jax.Array:
+        starts = first_states(ground.env, key, ground.params, ground.episodes)
+        return jax.vmap(lambda start: ground.best(start, ground.params))(starts)
+
+    return np.asarray(jax.jit(jax.vmap(best))(_keys(ground)))
+
+
+def play(ground: Ground, act: Callable[[Any, jax.Array, Any, Key], jax.Array]) -> np.ndarray:
+    """Returns ``[runs, episodes]``."""
+    world = Revealed(ground.env)
+
+    def whole(run: tuple[Any, Key]) -> jax.Array:
+        learned, key = run
+
+        def decide(seen: jax.Array, key: Key) -> jax.Array:
+            return act(learned, *world.read(seen, ground.params), key)
+
+        played = rollout(
+            world, decide, key, ground.params, ground.episodes, num_steps=ground.num_steps
+        )
+        return played.reward.sum(-1)
+
+    runs = jax.jit(lambda learned, keys: jax.lax.map(whole, (learned, keys)))
+    return np.asarray(runs(ground.learned, _keys(ground)))
+
+
+def _keys(ground: Ground) -> Key:
+    runs = jax.tree.leaves(ground.learned)[0].shape[0]
+    return jax.random.split(jax.random.clone(ground.key), runs)
+
+
+def milliseconds(
+    ground: Ground, act: Callable[[Any, jax.Array, Any, Key], jax.Array], batch: int
+) -> float:
+    """Of one call that decides for so many environments by what the first run has learned: the
+    median of several timings.
+    """
+    keys = jax.random.split(jax.random.fold_in(jax.random.clone(ground.key), batch), (2, batch))
+    obs, state = jax.jit(jax.vmap(lambda key: ground.env.reset(key, ground.params)))(keys[0])
+    one = partial(act, jax.tree.map(lambda leaf: leaf[0], ground.learned))
+    decide: Any = jax.vmap(one)
+    args = (obs, state, keys[1])
+    if batch == 1:  # as who acts in one environment would call it
+        decide, args = one, jax.tree.map(lambda leaf: leaf[0], args)
+    call = jax.jit(decide).lower(*args).compile()
+    jax.block_until_ready(call(*args))
+    timings: list[float] = []
+    began = time.perf_counter()
+    while len(timings) < REPEATS or time.perf_counter() - began < TIMED_SECONDS:
+        start = time.perf_counter()
+        jax.block_until_ready(call(*args))
+        timings.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(timings))

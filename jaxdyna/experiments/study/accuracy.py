@@ -1,0 +1,100 @@
+"""Whether sample efficiency grows with a model's accuracy, over models made worse on purpose (§5).
+
+A world has an option ``judged_on: Literal["own", "common"]``, and where it is ``"common"`` its
+models are judged `on_common` transitions; a study sets it for all of its rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxdyna.dyna import Dyna
+from jaxdyna.experiments.report import studies
+from jaxdyna.experiments.report.rows import bounded, limit
+from jaxdyna.experiments.report.sections import Section, paragraphs
+from jaxdyna.experiments.report.summaries import Curves
+from jaxdyna.statistics import rank_correlation
+from jaxdyna.types import Transition
+
+
+class Measure(NamedTuple):
+    """How wrong a model is.
+
+    Attributes:
+        curve: its name: the model's error in each real episode.
+        episodes: so many with dreams are judged, or as many as a run plays.
+        axis: the figure's.
+        said: what it is, in sentences.
+        lines: rows without a model, drawn as lines.
+        hollow: what the names of rows begin with that are no worse, but otherwise handicapped.
+    """
+
+    curve: str
+    episodes: int
+    axis: str
+    said: str
+    lines: tuple[str, ...]
+    hollow: str
+
+
+def on_common(dyna: Dyna, common: Transition) -> Dyna:
+    """With its model judged on the common transitions instead of on its own episodes."""
+    judge = dyna.diagnose
+    assert judge is not None
+    return dyna._replace(diagnose=lambda params, _, key: judge(params, common, key))
+
+
+def describe(measure: Measure) -> Callable[[Any, Curves], dict[str, Any]]:
+    """``model_error`` of an arm with a model, one a run: the mean over the episodes judged."""
+
+    def described(options: Any, curves: Curves) -> dict[str, Any]:
+        if measure.curve not in curves:
+            return {}
+        start = max(options.dyna.num_real_first - 1, 0)
+        judged = curves[measure.curve][:, start : start + measure.episodes]
+        played = np.isfinite(curves["real_return"][:, start : start + measure.episodes])
+        total = np.where(played, judged, 0).sum(1, dtype=float)
+        return {"model_error": (total / np.maximum(played.sum(1), 1)).tolist()}
+
+    return described
+
+
+def accuracy(measure: Measure, column: str = "episodes_to_solve") -> Section:
+    """Solving against the model's error; empty with fewer than three models to compare."""
+
+    def section(record: Any) -> str:
+        arms = record.results["arms"]
+        error = {
+            name: np.array(arm["model_error"], float)
+            for name, arm in arms.items()
+            if np.isfinite(np.array(arm.get("model_error", np.nan), float)).all()
+        }
+        solved = {name: bounded(arm[column]) for name, arm in arms.items()}
+        hollow = [name for name in error if name.startswith(measure.hollow)]
+        compared = [name for name in error if name not in hollow]
+        axis = column.replace("_", " ")
+        if len(compared) < 3:
+            return ""
+        studies.error_scatter(
+            record.out / "accuracy.png", error, solved,
+            {name: solved[name].mean() for name in measure.lines if name in solved},
+            limit(arms, column), measure.axis, axis, hollow,
+        )  # fmt: skip
+        rank, low, high = rank_correlation(
+            np.stack([error[name] for name in compared]),
+            np.stack([solved[name] for name in compared]),
+        )
+        return paragraphs(
+            "## Solving against the model's error",
+            f"![{axis} against the model's error](accuracy.png)",
+            f"{measure.said} Mean over the first {measure.episodes} episodes with dreams. Rank "
+            f"correlation of mean error and mean {axis} over {len(compared)} models (those that "
+            "are hollow in the figure, which are no worse, apart): "
+            f"{rank:.2f} (95% percentile bootstrap over seeds {low:.2f} to {high:.2f}). 1 would "
+            "be the paper's claim without exception.",
+        )
+
+    return section
