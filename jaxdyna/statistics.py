@@ -108,10 +108,10 @@ def summarise(
             ``[seeds]``.
 
     Returns:
-        ``per_seed, mean, median``; ``ci95`` (bootstrap interval of the mean), None for five seeds or
-        fewer, and for seeds that are all alike; ``median_ci95`` (exact, by ranks); ``solved`` and
-        ``seeds`` (counts); ``budget`` (the largest bound) and ``restricted_mean``, the mean with
-        unsolved seeds at their bound, both None without ``at_least``.
+        ``per_seed, mean, median``; ``ci95`` (bootstrap interval of the mean), None for five seeds
+        or fewer, and for seeds that are all alike; ``median_ci95`` (exact, by ranks); ``solved``
+        and ``seeds`` (counts); ``budget`` (the largest bound) and ``restricted_mean``, the mean
+        with unsolved seeds at their bound, both None without ``at_least``.
     """
     per_seed = np.asarray(per_seed, np.float64)
     solved = np.isfinite(per_seed) if solved is None else solved
@@ -134,8 +134,8 @@ def summarise(
 
 
 def median_interval(values: np.ndarray) -> list[float | None] | None:
-    """The exact 95% interval of a median by ranks, such as the 2nd to the 9th of ten values; None for
-    five or fewer, which have none.
+    """The exact 95% interval of a median by ranks, such as the 2nd to the 9th of ten values; None
+    for five or fewer, which have none.
     """
     rank = int(binom.ppf(0.025, len(values), 0.5))
     if rank < 1:

@@ -3,7 +3,7 @@
 A record keeps the command that was typed; `respelled` says how it is typed today.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatch
 from typing import Any
 
@@ -41,8 +41,9 @@ SETTINGS: dict[str, dict[str, str]] = {"cartpole": DYNA, "maze": DYNA, "pong": D
 VALUES = {
     "preset": {"paper": "tuned"},
     "arms": {"dyna (paper preset)": "dyna (tuned preset)"},
+    "pong arms": {"more_updates": "max_updates"},
 }
-"""By setting."""
+"""By setting, or by module and setting."""
 
 NOT_SETTINGS = ("part", "out", "resume")
 """In the settings of old records, and today what the call says beside them."""
@@ -53,25 +54,24 @@ DECIDED = {
     "pong hparams.env.*serve_delay": "--serve-delay decides it",
     "maze mpc.discount": "the agent's",
     "maze mcts.discount": "the agent's",
+    "maze cloning.capacity": "as many steps as --shown-episodes have",
+    "maze cloning.l*": "the arm's own, which are the setting's default today",
     "cartpole block": "None was all runs together; a number decides a run's bits today",
 }
 """Recorded settings that were not those in use, or mean another thing, by module and pattern of the
 path, and why."""
 
-ARRAYS: dict[str, str] = {}
-"""In ``curves.npz``."""
-
-GONE = {
-    "cost_*": "the cost of training is the benchmark's business",
+ARRAYS: dict[str, str | None] = {
+    "judged_error": None,  # in results.json, out of the curve that it is a mean of
 }
-"""Arrays that are no longer kept, by pattern, and why."""
+"""In ``curves.npz``; None: no longer kept."""
 
 JUDGED = (
     "held_out_*", "example_*", "greedy_*", "game_*", "cost_*", "film_greedy", "film_truth",
     "film_dream", "one_step", "mass", "reward", "dream*", "still_unserved", "seen", "truth",
     "belief", "open_loop", "r2", "decisions: *",
 )  # fmt: skip
-"""Arrays of what is judged after training, from keys of its own."""
+"""Arrays of what is judged after training, from keys of its own and perhaps by other names."""
 
 LOSSES = ("*loss*", "*error*", "state_*", "change_*", "judged_*")
 """Arrays of numbers that rounding moves a little; all others come of actions."""
@@ -92,7 +92,10 @@ def respelled(command: Sequence[str]) -> list[str] | None:
         if path != "part":
             flag = _setting(start, path).replace("_", "-")
             table, dot, name = flag.rpartition(".")
-            words += [f"--{table}{dot}{no}{name}", *(_value(path, value) for value in values)]
+            words += [
+                f"--{table}{dot}{no}{name}",
+                *(_value(start[0], path, value) for value in values),
+            ]
     return words
 
 
@@ -103,21 +106,28 @@ def respelled_settings(command: Sequence[str], config: Mapping[str, Any]) -> dic
     for path, value in _flat(config):
         if path not in NOT_SETTINGS and not is_one(f"{start[0]} {path}", DECIDED):
             listed = isinstance(value, list)
-            new = [_value(path, item) for item in value] if listed else _value(path, value)
-            settings[_setting(start, path)] = new
+            items = [_value(start[0], path, item) for item in (value if listed else [value])]
+            settings[_setting(start, path)] = items if listed else items[0]
     return settings
 
 
-def arrays(arm: str, name: str) -> tuple[str, list[str]]:
-    """An arm's name of today, and those that an array of it may have; what is kept of the first run
-    alone has ``show_`` in front.
+def arm_of(module: str, arm: str) -> str:
+    """An arm's name of today."""
+    return _value(module, "arms", arm)
+
+
+def arrays(name: str) -> list[str]:
+    """The names that an array may have today; what is kept of the first run alone has ``show_`` in
+    front. None where it is no longer kept.
     """
-    renamed = ARRAYS.get(name, name)
-    bare = renamed.removeprefix("film_")
-    return VALUES["arms"].get(arm, arm), [renamed, f"show_{renamed}", f"show_{bare}"]
+    today = ARRAYS.get(name, name)
+    if today is None:
+        return []
+    bare = today.removeprefix("film_").removeprefix("example_")
+    return [today, f"show_{today}", f"show_{bare}"]
 
 
-def is_one(name: str, patterns: Sequence[str] | Mapping[str, str]) -> bool:
+def is_one(name: str, patterns: Iterable[str]) -> bool:
     """Whether a name fits one of the patterns."""
     return any(fnmatch(name, pattern) for pattern in patterns)
 
@@ -143,8 +153,9 @@ def _setting(start: Sequence[str], path: str) -> str:
     return SETTINGS.get(f"{start[0]} {part}".strip(), {}).get(path, path)
 
 
-def _value(path: str, value: Any) -> Any:
-    return VALUES.get(path, {}).get(value, value) if isinstance(value, str) else value
+def _value(module: str, path: str, value: Any) -> Any:
+    renamed = VALUES.get(path, {}) | VALUES.get(f"{module} {path}", {})
+    return renamed.get(value, value) if isinstance(value, str) else value
 
 
 def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

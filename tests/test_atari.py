@@ -13,11 +13,18 @@ from parts import assert_same
 from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette
 from jaxdyna.envs.gymnasium import make_atari
 from jaxdyna.envs.pong_screen import masks_by_colour, paint
-from jaxdyna.experiments import pong, pong_games, run
-from jaxdyna.experiments.storage import read_curves
+from jaxdyna.experiments.engine import main
+from jaxdyna.experiments.engine.progress import Bars
+from jaxdyna.experiments.engine.storage import read_curves
+from jaxdyna.experiments.pong import PARTS
+from jaxdyna.experiments.pong.games import scores
 from jaxdyna.rollout import rollout
 
 ONE_NO_OP = 1
+
+
+def run(*argv):
+    return main(*PARTS, argv=argv, prog="python -m jaxdyna.experiments.pong")
 
 
 def test_without_the_extra_a_line_says_how_to_install_it(monkeypatch):
@@ -30,7 +37,7 @@ def test_without_the_extra_a_line_says_how_to_install_it(monkeypatch):
 
 def test_a_game_that_cannot_be_read_refuses_what_reads_it(capsys):
     with pytest.raises(SystemExit) as error:
-        pong.main(["--game", "ale", "--arms", "dyna", "true_ball"])
+        run("--game", "ale", "--arms", "dyna", "true_ball")
     assert error.value.code == 2
     assert "--arms true_ball read the pure game's state" in capsys.readouterr().err
 
@@ -100,7 +107,7 @@ def test_a_small_frame_shows_the_objects_of_the_screen(env):
 
 def test_who_does_nothing_loses_a_whole_game(env):
     small = AtariPong(frame_skip=8, scale=8)
-    points, ended = pong_games.scores(
+    points, ended = scores(
         small, lambda obs, key: jnp.int32(0), jax.random.key(3), small.default_params, games=2
     )
     np.testing.assert_array_equal(points, [-21, -21])
@@ -117,7 +124,8 @@ def test_settings_that_cannot_be_are_refused(settings, words):
 
 TINY = [
     "--game", "ale", "--quick", "--seeds", "1", "--episodes", "24", "--steps", "12",
-    "--dream-steps", "4", "--agent.updates", "1", "--agent.batch", "2", "--arms", "model_free",
+    "--dyna.dream-steps", "4", "--agent.updates", "1", "--agent.batch", "2",
+    "--arms", "model_free",
 ]  # fmt: skip
 
 
@@ -125,24 +133,18 @@ TINY = [
 def test_interrupted_and_resumed_is_uninterrupted(env, tmp_path, monkeypatch):
     """Ctrl-C in the middle of learning: the emulator's games go on bit for bit."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    assert pong.main([*TINY, "--out", str(whole)]) == 0
-    original = run.Runner.run
+    assert run(*TINY, "--out", str(whole)) == 0
+    tell = Bars.tell
 
-    def interrupted_run(self, name, arm, resume=False):
-        report = self.report
-
-        def interrupt(stage, done, total, solved):
-            report(stage, done, total, solved)
-            if stage == "running" and 0 < done < total:
-                signal.raise_signal(signal.SIGINT)
-
-        self.report = interrupt
-        return original(self, name, arm, resume)
+    def interrupt(self, name, stage, done, over):
+        tell(self, name, stage, done, over)
+        if stage == "running" and done:
+            signal.raise_signal(signal.SIGINT)
 
     with monkeypatch.context() as patch:
-        patch.setattr(run.Runner, "run", interrupted_run)
-        assert pong.main([*TINY, "--out", str(parts)]) == 130
-    assert (parts / "checkpoints" / "model_free").is_dir()
-    assert pong.main([*TINY, "--out", str(parts), "--resume"]) == 0
+        patch.setattr(Bars, "tell", interrupt)
+        assert run(*TINY, "--out", str(parts)) == 130
+    assert any((parts / "checkpoints").glob("model_free*"))
+    assert run(*TINY, "--out", str(parts), "--resume") == 0
     assert_same(*(read_curves(folder / "curves.npz")["model_free"] for folder in (whole, parts)))
     assert "the Atari 2600 game" in (parts / "report.md").read_text()

@@ -6,7 +6,8 @@ import numpy as np
 
 from jaxdyna import frame_replay
 from jaxdyna.envs import FrameStack, Maze, MazeParams
-from jaxdyna.experiments.maze_oracle import ReplayedMaze, ReplayedParams, read_state
+from jaxdyna.experiments.maze.oracle import read_state, true_dream
+from jaxdyna.experiments.study.frames import ReplayedParams
 from jaxdyna.rollout import rollout
 
 MAZE = Maze(size=8, num_obstacles=4)
@@ -56,7 +57,7 @@ def test_a_dream_goes_on_from_a_real_frame():
     none = frame_replay.sample(held, jax.random.key(4), (0, 3))  # an arm without model updates
     assert none.obs.shape == (0, 3, 8, 8, 12)
     params = ReplayedParams(PARAMS, held, max_steps=30)
-    env = ReplayedMaze(ENV)
+    env = true_dream(MAZE).env
 
     def act(obs, key):
         return jax.random.randint(key, (), 0, 5)

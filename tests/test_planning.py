@@ -10,21 +10,27 @@ import pytest
 import tiny
 from parts import assert_same
 
-from jaxdyna.dyna import make_init, make_train
 from jaxdyna.envs import CartPole, Maze
-from jaxdyna.experiments import (
-    maze_train,
-    planning,
-    planning_budgets,
-    planning_claim,
-    planning_grounds,
-)
-from jaxdyna.experiments.cartpole import make_arms
-from jaxdyna.experiments.cartpole_options import LEAN
-from jaxdyna.experiments.maze_train_options import LEAN as MAZE
-from jaxdyna.experiments.planning_budgets import Contender, Ground
-from jaxdyna.experiments.planning_grounds import maze_contenders
+from jaxdyna.experiments import planning
+from jaxdyna.experiments.cartpole import CARTPOLE
+from jaxdyna.experiments.cartpole.arms import arms as cartpole_arms
+from jaxdyna.experiments.engine import main
+from jaxdyna.experiments.engine.session import Session
+from jaxdyna.experiments.maze import MAZE
+from jaxdyna.experiments.maze.arms import agent_of, model_of, parts
+from jaxdyna.experiments.planning import budgets, claim, deciding, grounds
+from jaxdyna.experiments.planning.budgets import Contender, Ground
+from jaxdyna.experiments.report.rows import _difference
+from jaxdyna.fields import changed
 from jaxdyna.planners import ShootingConfig, solve_maze
+from jaxdyna.statistics import summarise
+
+PROG = "python -m jaxdyna.experiments.planning"
+
+
+def play(*arguments):
+    return main(*planning.PARTS, argv=arguments, prog=PROG)
+
 
 ENV = CartPole()
 LEFT = Contender("left", "-", 0, lambda learned, obs, state, key: jnp.int32(learned))
@@ -43,7 +49,7 @@ def ground(runs):
 
 @pytest.mark.parametrize("runs", [1, 2])
 def test_shares_are_of_what_could_be_had_in_the_same_episodes(runs):
-    rows = planning_budgets.measure(ground(runs), [LEFT, UPRIGHT], lambda said: None)
+    rows = budgets.measure(ground(runs), [LEFT, UPRIGHT], lambda said: None)
     for row in rows:
         returns = np.array(row["returns"])
         assert returns.shape == (runs, 3) and row["ms"] > 0 and row["ms_in_batch"] > 0
@@ -57,8 +63,8 @@ def test_shares_are_of_what_could_be_had_in_the_same_episodes(runs):
 
 def test_everybody_decides_by_what_each_run_has_learned():
     both = ground(2)._replace(learned=jnp.arange(2))  # the first pushes left, the second right
-    returns = planning_budgets.play(both, LEFT.act)
-    other = planning_budgets.play(both._replace(learned=1 - jnp.arange(2)), LEFT.act)
+    returns = budgets.play(both, LEFT.act)
+    other = budgets.play(both._replace(learned=1 - jnp.arange(2)), LEFT.act)
     assert (returns[0] != other[0]).any() and (returns[1] != other[1]).any()
 
 
@@ -74,35 +80,40 @@ def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_
 
     arguments = [*tiny.PLANNING, *FEW, "--out", str(tmp_path)]
     with monkeypatch.context() as patch:
-        patch.setattr(planning.Session, "_play", interrupted)
-        assert planning.main(arguments) == 130
-    monkeypatch.setattr(planning, "budgets", measured_again)
-    assert planning.main([*arguments, "--resume"]) == 0
+        patch.setattr(Session, "_play", interrupted)
+        assert play(*arguments) == 130
+    monkeypatch.setattr(deciding, "measure", measured_again)
+    assert play(*arguments, "--resume") == 0
     results = json.loads((tmp_path / "results.json").read_text())
-    timing = results["timing"]
-    assert 0 < timing["prelude_s"] < timing["total_s"]
     assert [row["who"] for row in results["budgets"]] == ["policy", "MPC"]
     assert set(results["arms"]) == {"dyna", "mpc_init"}
     text = (tmp_path / "report.md").read_text()
     assert "times** as long" in text and "in the same episodes" in text
     for figure in ("decisions", "solved", "variants"):
         assert (tmp_path / f"{figure}.png").exists()
-    assert planning.main([*arguments, "--resume"]) == 0  # with everything finished
+    assert play(*arguments, "--resume") == 0  # with everything finished
     again = json.loads((tmp_path / "results.json").read_text())
     assert again["budgets"] == results["budgets"]
-    assert again["timing"]["prelude_s"] == timing["prelude_s"]
 
 
 def test_who_imitates_dreams_later_or_stays_as_it_is():
+    few = {"dyna.num_real_first": 2, "shown_episodes": 2, "dyna.model_updates": 2,
+           "mpc": ShootingConfig(2, 4), "dyna.dream_episodes": 2}  # fmt: skip
+
     def learned(name, episodes):
-        options = replace(
-            LEAN, arms=(name,), episodes=episodes, real_first=2, shown_episodes=2, model_updates=2,
-            mpc=ShootingConfig(2, 4), dream_episodes=2,
-        )  # fmt: skip
-        arm = make_arms(options)[name]
-        train = jax.jit(make_train(arm.dyna._replace(diagnose=None), arm.config))
-        state, metrics = train(jax.random.key(0), arm.hparams)
-        return state.agent, metrics
+        options = changed(CARTPOLE.presets["lean"], few | {"episodes": episodes}).resolved()
+        work, hparams, units = cartpole_arms(options, judged=False)[name]()
+        assert units == episodes
+        state, metrics = jax.jit(jax.vmap(work.init, (0, None), axis_name="runs"))(
+            jax.random.key(0)[None], hparams
+        ), []
+        step = jax.jit(jax.vmap(lambda state, number: work.step(state, None, number, hparams),
+                                (0, None), axis_name="runs"))  # fmt: skip
+        for episode in range(episodes):
+            state, new = step(state, episode)
+            metrics.append(new)
+        joined = jax.tree.map(lambda *parts: np.concatenate(parts), *metrics)
+        return jax.tree.map(lambda leaf: leaf[0], replace(state, key=None).agent), joined
 
     shown, _ = learned("mpc_init", 4)
     dreaming, metrics = learned("mpc_init_dyna", 4)  # of which only the last dream counts
@@ -111,29 +122,28 @@ def test_who_imitates_dreams_later_or_stays_as_it_is():
     assert bool(shown.waiting) and not bool(dreaming.waiting)
     clone, metrics = learned("mpc_clone", 6)
     assert bool(clone.waiting)  # what imitates acts, and nothing comes after it
-    np.testing.assert_array_equal(metrics["agent_loss"][jnp.array([0, 1, 4, 5])], 0)
+    np.testing.assert_array_equal(metrics["agent_loss"][np.array([0, 1, 4, 5])], 0)
     assert_same(clone.imitating, shown.imitating)
 
 
 def test_the_oracle_plays_best_in_the_maze_and_values_are_asked_for():
-    sizes = planning_grounds.Sizes(candidates=(4,), simulations=(4,), far_candidates=(256,))
-    options = replace(MAZE, episodes=1, real_first=1, size=2, obstacles=1, steps=8)
-    arm = maze_train.make_arms(options)["dyna"]
-    state = jax.jit(jax.vmap(make_init(arm.dyna, arm.config), (0, None)))(
-        jax.random.split(jax.random.key(0), 1), arm.hparams
-    )
+    sizes = grounds.Sizes(candidates=(4,), simulations=(4,), far_candidates=(256,))
+    small = {"episodes": 1, "dyna.num_real_first": 1, "size": 2, "obstacles": 1, "steps": 8}
+    options = changed(MAZE.presets["lean"], small).resolved()
+    dyna = parts(Maze(2, 1), agent_of(options), model_of(options))
+    work = MAZE.arms(options)["dyna"]().work
+    state = jax.jit(work.init)(jax.random.key(0), options.hparams)
+    learned = jax.tree.map(lambda leaf: leaf[None], replace(state, key=None))
 
     def best(start, params):
         return solve_maze(Maze(2, 1), start.env, params, 8).best_return
 
-    here = Ground("Maze", arm.dyna.env, arm.hparams.env, replace(state, key=None), 8, best,
-                  jax.random.key(1), 6, 2)  # fmt: skip
-    contenders = {who.label: who for who in maze_contenders(arm, options, sizes)}
-    assert set(contenders) <= set(planning.CONTENDERS)
+    here = Ground("Maze", dyna.env, options.hparams.env, learned, 8, best, jax.random.key(1), 6, 2)
+    contenders = {who.label: who for who in grounds.maze_contenders(dyna, options, sizes)}
+    assert set(contenders) <= set(deciding.CONTENDERS)
     played = ["policy", "MPC to the goal (true world)", "MCTS, learned values (learned world)"]
     share = {
-        name: planning_budgets.play(here, contenders[name].act).sum()
-        / planning_budgets.best_returns(here).sum()
+        name: budgets.play(here, contenders[name].act).sum() / budgets.best_returns(here).sum()
         for name in played
     }
     assert share[played[1]] > max(0.9, share["policy"]) and np.isfinite(share[played[2]])
@@ -155,26 +165,24 @@ def test_the_claim_in_numbers_by_hand():
         "mpc_clone, few": arm_of([100.0, 160.0], [None, None]),
         "mpc": arm_of([1.0, 1.0], [None, None]),
     }
-    first, more = planning_claim.sentences({"arms": arms})
+    first, more = claim.sentences({"arms": arms})
     assert "`dyna` 10 (10 to 10)" in first and "`mpc_clone` 50 (10 to 90)" in first
     assert "`mpc_clone` loses **+40 (+0 to +80)** more" in more.replace("(0 to 80)", "(+0 to +80)")
-    text = "\n".join(planning_claim.answer({"arms": arms}))
+    text = "\n".join(claim.answer({"arms": arms}))
     assert "| mpc_clone, few | 0/2 | -1.00 (-1.00 to -1.00) | 130 | -50 " in text
     assert "mpc |" not in text.replace("mpc_clone", "")
     del arms["dyna, few"]
-    assert planning_claim.sentences({"arms": arms}) == []
+    assert claim.sentences({"arms": arms}) == []
 
 
 def test_a_row_with_unsolved_runs_leaves_a_lower_bound():
-    report = planning.PlanningReport(planning.PLANNING, replace(planning.FULL, episodes=150))
+    def solve(*first):
+        values = np.array([np.inf if value is None else value for value in first], float)
+        return summarise(values, at_least=52)
 
-    def solve(first):
-        return {"first_solved": arm_of([0.0], first)["first_solved"]}
-
-    assert report.limit == 52
-    assert report._difference(solve([12, 14]), solve([2, 4])) == "+10 (10 to 10)"
-    assert report._difference(solve([12, None]), solve([2, 2])) == "≥ +30"
-    assert report._difference(solve([12, 14]), solve([2, None])) == "-"
+    assert _difference(solve(12, 14), solve(2, 4)) == "+10 (10 to 10)"
+    assert _difference(solve(12, None), solve(2, 2)) == "≥ +30"
+    assert _difference(solve(12, 14), solve(2, None)) == "-"
 
 
 @pytest.mark.parametrize(
@@ -189,5 +197,5 @@ def test_a_row_with_unsolved_runs_leaves_a_lower_bound():
 )
 def test_bad_input_is_explained(arguments, said, capsys):
     with pytest.raises(SystemExit) as stop:
-        planning.main(["--quick", *arguments])
+        play("--quick", *arguments)
     assert stop.value.code == 2 and said in " ".join(capsys.readouterr().err.split())

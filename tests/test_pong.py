@@ -8,14 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from parts import assert_same
+from tools.pong_trace import Script, play, record, samples, script
 
 from jaxdyna import rollout
 from jaxdyna.envs import CHANNELS, CartPole, GreyFrames, Pong, PongParams
 from jaxdyna.envs.grey import grey
 from jaxdyna.envs.pong_rules import FIELD, advance, first_state
 from jaxdyna.envs.pong_screen import masks_by_colour
-from jaxdyna.experiments import pong_likeness
-from jaxdyna.experiments.pong_trace import play, script
 
 TRACE = dict(np.load(Path(__file__).parent / "data" / "pong_trace.npz"))
 BALL = np.stack([TRACE["ball_row"], TRACE["ball_column"]], axis=-1).astype(np.int32)
@@ -133,30 +132,28 @@ def test_a_bounce_is_counted_by_hand():
     rows = [-48, 60, 60, 60, 61, 62, 63, -48]
     trace = {"ball_row": rows, "ball_column": columns, "own": [52] * 8, "opponent": [20] * 8}
     trace |= {"reward": [0] * 6 + [1, 0]}
-    found = pong_likeness.samples({name: np.array(row, np.int16) for name, row in trace.items()})
+    found = samples({name: np.array(row, np.int16) for name, row in trace.items()})
     assert found["rally"].tolist() == [5] and found["point"].tolist() == [1]
     assert found["own_place"].tolist() == [8] and found["own_angle"].tolist() == [45]
     assert found["across"].tolist() == [1] * 5 and len(found["opponent_place"]) == 0
 
 
-def test_both_games_are_played_alike(tmp_path):
-    """The script that recorded the trace does again, and the two games are compared."""
-    pytest.importorskip("ale_py")
+def test_the_recorded_player_plays_so_again():
+    """Its script; and, with the emulator at hand, the recorded game's first frames."""
     again = script(12_000, 5)
     followed = again.action >= 0
     np.testing.assert_array_equal(TRACE["action"][followed], again.action[followed])
-    arguments = ["--frames", "3000", "--games", "2", "--out", str(tmp_path)]
-    assert pong_likeness.main(arguments) == 0
-    report = (tmp_path / "report.md").read_text()
-    assert "| Atari 2600 | pure |" in report and (tmp_path / "likeness.png").exists()
+    pytest.importorskip("ale_py")
+    few = record(Script(*(part[:300] for part in again)))
+    assert_same(few, {name: TRACE[name][:300] for name in few})
 
 
 def test_rallies_speeds_and_bounces_are_those_of_the_real_game():
     """The recorded player's 12,000 frames there beside 48,000 here: how fast balls fly, at which
     angle each part of a paddle sends them off, how long rallies last (8 there, so roughly).
     """
-    real = pong_likeness.samples(TRACE)
-    pure = pong_likeness.samples(play(script(48_000, 5), jax.random.key(5)))
+    real = samples(TRACE)
+    pure = samples(play(script(48_000, 5), jax.random.key(5)))
     for speed in (1, 2, 3):
         assert abs(np.mean(real["across"] == speed) - np.mean(pure["across"] == speed)) < 0.05
     parts = 0

@@ -2,34 +2,46 @@
 
 import json
 import sys
-from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import tiny
+from renamed import respelled
 
 from jaxdyna import frame_replay
-from jaxdyna.envs import CHANNELS, FrameStack, Palette, Pong, PongParams
+from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette, Pong, PongParams
 from jaxdyna.envs.pong_rules import advance
 from jaxdyna.envs.pong_screen import mixture_of, picture_of, shares_of
-from jaxdyna.experiments import pong, pong_ale, pong_judge, pong_train_report, ratios
-from jaxdyna.experiments.pong_colours import in_channels, in_colours
-from jaxdyna.experiments.pong_data import Player, choose, middle_row, play, take, view_of
-from jaxdyna.experiments.pong_equal import by_tens, equal_episodes
-from jaxdyna.experiments.pong_guided import GuidedDream, GuidedParams, read_state
-from jaxdyna.experiments.pong_judge import OBJECTS, counts, precision, recall
-from jaxdyna.experiments.pong_options import Options, game_of, params_of
-from jaxdyna.experiments.pong_train import make_arms, points
-from jaxdyna.experiments.pong_train_options import PAPER as TRAIN
+from jaxdyna.experiments.engine import main
+from jaxdyna.experiments.pong import PARTS, atari, frames
+from jaxdyna.experiments.pong.arms import arms, points
+from jaxdyna.experiments.pong.atari import middle_row
+from jaxdyna.experiments.pong.colours import in_channels, in_colours
+from jaxdyna.experiments.pong.data import Player, choose, play, take, view_of
+from jaxdyna.experiments.pong.guided import Guided, GuidedParams, read_state
+from jaxdyna.experiments.pong.options import TUNED
+from jaxdyna.experiments.pong.world import OBJECTS, game_of, params_of
+from jaxdyna.experiments.report.sections import equal_episodes
+from jaxdyna.experiments.report.summaries import comparisons
+from jaxdyna.fields import changed
 from jaxdyna.networks import SignedReward
 from jaxdyna.statistics import summarise
 from jaxdyna.types import DynamicsModel, Prediction, Transition
 
-OPTIONS = Options(steps=60, horizon=10)
-GAME, PARAMS = game_of(OPTIONS), params_of(OPTIONS)
+OPTIONS = frames.PongFrames(steps=60, horizon=10)
+GAME, PARAMS = game_of(OPTIONS), params_of(OPTIONS, PongParams())
 VIEW = view_of(GAME)
+
+
+def run(*argv):
+    return main(*PARTS, argv=argv, prog="python -m jaxdyna.experiments.pong")
+
+
+def todays(command):
+    return respelled(["pong", *command])[1:]
 
 
 @pytest.fixture(scope="module")
@@ -125,8 +137,8 @@ def test_only_the_chosen_object_is_the_truth(played):
         return Prediction(dark, jnp.float32(7), jnp.float32(0), jnp.float32(0))
 
     def step(predict, truth):
-        env = GuidedDream(FrameStack(GAME), predict, truth)
-        params = GuidedParams(None, PARAMS, held, max_steps=1)
+        env = Guided(FrameStack(GAME), predict=predict, truth=truth)
+        params = GuidedParams(PARAMS.replace(max_steps=1), held)
 
         @jax.jit
         def go(key):
@@ -182,18 +194,6 @@ def test_a_model_of_channels_sees_the_same_in_colours(played):
     assert metrics["loss"] == plain.next_obs.sum()
 
 
-def test_recall_and_precision_by_hand():
-    truth = np.zeros((2, 3, 3, 3), bool)
-    truth[0, :2, 0, OBJECTS["ball"]] = truth[1, 2, 2, OBJECTS["opponent"]] = True
-    lit = truth.copy()
-    lit[0, 0, 0, OBJECTS["ball"]] = False
-    lit[1, :, :, OBJECTS["opponent"]] = True
-    counted = np.asarray(counts(jnp.array(lit), jnp.array(truth), (0, 1, 2)))
-    np.testing.assert_array_equal(counted, [[1, 1, 2], [0, 0, 0], [1, 9, 1]])
-    np.testing.assert_allclose(recall(counted), [0.5, 0, 1])
-    np.testing.assert_allclose(precision(counted), [1, np.nan, 1 / 9])
-
-
 def test_a_serve_is_a_ball_that_was_not_there_or_far_away():
     """A ball that flies on, one that vanishes and comes back, one served at once elsewhere."""
     columns = [[4, 6, 8, 10], [4, None, None, 20], [38, 20, 18, 16]]
@@ -202,16 +202,16 @@ def test_a_serve_is_a_ball_that_was_not_there_or_far_away():
         for time, column in enumerate(row):
             if column is not None:
                 ball[episode, time, 7, column : column + 2] = True
-    expected = [[False] * 3, [False, False, True], [True, False, False]]
-    np.testing.assert_array_equal(pong_judge._served(jnp.array(ball)), expected)
+    expected = [[True] * 3, [True, True, False], [False] * 3]
+    np.testing.assert_array_equal(frames.unserved(jnp.array(ball)), expected)
 
 
-@pytest.mark.parametrize("part", ["train", "model"])
+@pytest.mark.parametrize("part", ["pong", "frames"])
 def test_without_the_atari_extra_one_line_says_how_to_get_it(part, tmp_path, monkeypatch, capsys):
     (tmp_path / "report.md").write_text("an earlier run's")
     monkeypatch.setitem(sys.modules, "ale_py", None)
     with pytest.raises(SystemExit) as stop:
-        pong.main(["--game", "ale", "--part", part, "--out", str(tmp_path)])
+        run("--game", "ale", "--part", part, "--out", str(tmp_path))
     said = capsys.readouterr().err
     assert stop.value.code == 2 and "jaxdyna[atari]" in said and len(said.splitlines()) == 1
     assert (tmp_path / "report.md").exists()
@@ -233,32 +233,35 @@ def test_a_middle_row_is_told_from_a_small_frame(played):
 
 def test_the_real_game_is_collected():
     pytest.importorskip("ale_py")
-    real_view = pong_ale.view_in(CHANNELS)
-    options = Options(game="ale", steps=20, horizon=10, frame_skip=4)
-    real = pong_ale.collect(options, 2, True, jax.random.key(0))
+    real_view = atari.view_in(CHANNELS)
+    real = atari.collect(AtariPong(4, 4), 20, 2, True, jax.random.key(0))
     assert real.world.shape == (2, 21, 40, 40) and real.action.shape == (2, 20)
-    frames = np.asarray(real_view.frame(jnp.array(real.world)))
-    assert set(np.unique(frames)) == {0, 255}
-    np.testing.assert_array_equal(pong_ale.packed(jnp.array(frames)), real.world)
-    sizes = frames[:, -1].any((1, 2))
+    seen = np.asarray(real_view.frame(jnp.array(real.world)))
+    assert set(np.unique(seen)) == {0, 255}
+    np.testing.assert_array_equal(atari.packed(jnp.array(seen)), real.world)
+    sizes = seen[:, -1].any((1, 2))
     assert sizes[:, OBJECTS["own paddle"]].all() and sizes[:, OBJECTS["opponent"]].all()
-    seen = take(real_view, jax.tree.map(jnp.array, real), jnp.array([1]), jnp.array([19]))
-    np.testing.assert_array_equal(seen.next_obs[0, ..., -3:], frames[1, 20])
+    some = take(real_view, jax.tree.map(jnp.array, real), jnp.array([1]), jnp.array([19]))
+    np.testing.assert_array_equal(some.next_obs[0, ..., -3:], seen[1, 20])
 
 
 def test_arms_are_compared_where_all_have_played():
-    """By hand: the longer arm's later episodes do not count; differences are run by run."""
+    """By hand: what only some runs have played does not count; differences are run by run."""
     short = np.repeat([[0.0, 1.0], [2.0, 3.0]], 10, axis=1)
     long = np.repeat([[-1.0, 0.0, 9.0], [0.0, 2.0, 9.0]], 10, axis=1)
-    played = {"model_free": long[:, :-3], "more_updates": long - 1, "dyna": short}
-    arms = {name: {"by_tens": by_tens(returns)} for name, returns in played.items()}
-    assert arms["model_free"]["by_tens"] == [[-1, 0], [0, 2]]
-    said, table = equal_episodes({"arms": arms})
-    assert "episodes 1 to 20" in said
-    assert "| arm | return | less that of model_free | less that of more_updates |" in table
-    assert "| dyna | 1.50 (0.50 to 2.50) | +1.25 (1.00 to 1.50) | +2.25 (2.00 to 2.50) |" in table
-    assert "| more_updates | -0.75 (-1.50 to 0.00) | -1.00 (-1.00 to -1.00) | - |" in table
-    assert not equal_episodes({"arms": {"dyna": arms["dyna"]}})
+    long[1, 25:] = np.nan
+    played = {"model_free": long, "max_updates": long - 1, "dyna": short}
+
+    def said(baselines, **played):
+        curves = {name: {"real_return": returns} for name, returns in played.items()}
+        return equal_episodes(baselines)(SimpleNamespace(curves=curves))
+
+    text = said(("model_free", "max_updates"), **played)
+    assert "episodes 1 to 20" in text
+    assert "| arm | return | less that of model_free | less that of max_updates |" in text
+    assert "| dyna | 1.50 (0.50 to 2.50) | +1.25 (1.00 to 1.50) | +2.25 (2.00 to 2.50) |" in text
+    assert "| max_updates | -0.75 (-1.50 to 0.00) | -1.00 (-1.00 to -1.00) | - |" in text
+    assert said(("dyna",), dyna=short) == said(("placebo",), **played) == ""
 
 
 def test_ratios_by_hand():
@@ -276,11 +279,11 @@ def test_ratios_by_hand():
         "more_updates": arm([40, 40], [400, 400]),
         "placebo": arm([np.inf] * 2, [np.inf] * 2), "oracle": arm([30, np.inf], [9, np.inf]),
     }  # fmt: skip
-    said = ratios.comparisons({"arms": arms}, {})
+    said = comparisons({"arms": arms}, {})
     assert said[0].startswith("dyna needs at most **0.50** of model_free's episodes")
     assert said[2] == "Not all runs of placebo, oracle solved: ratios to model_free are unknown."
     assert said[3].startswith("dyna needs **0.50** of more_updates's episodes")
-    steps = ratios.comparisons({"arms": arms}, {}, "real_steps_to_solve")
+    steps = comparisons({"arms": arms}, {}, "real_steps_to_solve")
     assert "**0.50** of model_free's real steps" in steps[0] and len(steps) == 4
 
 
@@ -294,28 +297,22 @@ def test_a_signed_reward_is_a_difference_of_probabilities():
 
 
 def test_arms_differ_by_what_their_names_say():
-    arms = make_arms(TRAIN)
-    assert arms["dyna"].dyna is arms["placebo"].dyna and not arms["placebo"].hparams.model_trains
-    assert arms["oracle"].dyna.dream.env.predict is None
-    for name, things in (("true_ball", ["ball"]), ("true_frames", OBJECTS)):
-        dream = arms[name].dyna.dream.env
-        assert set(dream.truth) == {OBJECTS[thing] for thing in things}
-        assert dream.predict is not None and arms[name].dyna.model is not None
-        assert arms[name].dyna.model is arms["dyna_l2"].dyna.model
-    assert arms["model_free"].dyna.agent is arms["dyna"].dyna.agent
-    assert arms["more_updates"].dyna.agent is not arms["dyna"].dyna.agent
-    assert arms["more_updates"].dyna.model is arms["more_updates"].dyna.dream is None
-    report = pong_train_report.PongReport(TRAIN)
-    assert report.updates_of(arms["more_updates"]) == (500, 0)
-    assert report.updates_of(arms["dyna"]) == (100, 400)
-    sticky = replace(TRAIN.hparams, env=PongParams(repeat_action_probability=0.25))
-    game = make_arms(replace(TRAIN, hparams=sticky))["oracle"].hparams.env
-    assert game == replace(arms["oracle"].hparams.env, repeat_action_probability=0.25)
-    assert game.max_steps == TRAIN.steps
+    options = TUNED.resolved()
+    made = {name: make() for name, make in arms(options).items()}
+    assert made["dyna"].work == made["placebo"].work != made["dyna_l2"].work
+    assert not made["placebo"].hparams.model_trains
+    assert made["more_updates"].hparams.agent.fake_share == 0
+    again = arms(options)
+    assert all(make().work == made[name].work for name, make in again.items())
+    assert len({arm.work for arm in made.values()}) == len(made) - 1
+    sticky = changed(options, {"hparams.env.repeat_action_probability": 0.25})
+    game = arms(sticky)["oracle"]().hparams.env
+    assert game == made["oracle"].hparams.env.replace(repeat_action_probability=0.25)
+    assert game.max_steps == options.steps
 
 
 def test_learning_leaves_what_the_contract_asks_for(tmp_path):
-    assert pong.main([*tiny.PONG, "--arms", "true_own", "--out", str(tmp_path)]) == 0
+    assert run(*todays(tiny.PONG), "--arms", "true_own", "--out", str(tmp_path)) == 0
     results = json.loads((tmp_path / "results.json").read_text())
     assert results["experiment"] == "pong" and set(results["arms"]) == {"true_own"}
     for arm in results["arms"].values():
@@ -329,13 +326,11 @@ def test_learning_leaves_what_the_contract_asks_for(tmp_path):
 
 @pytest.mark.slow
 def test_frame_prediction_leaves_tables_and_figures(tmp_path):
-    assert pong.main([*tiny.PONG_MODEL, "--arms", "ours", "--out", str(tmp_path)]) == 0
+    assert run(*todays(tiny.PONG_MODEL), "--arms", "ours", "--out", str(tmp_path)) == 0
     results = json.loads((tmp_path / "results.json").read_text())
-    assert results["experiment"] == "pong_model" and set(results["arms"]["ours"]) == {
-        "random", "mixed"
-    }  # fmt: skip
-    judged = results["arms"]["ours"]["mixed"]
-    assert set(judged["recall"]) == set(OBJECTS) and set(judged["dream"]["recall"]) == {"1", "2"}
+    assert set(results["arms"]) == {"ours@random", "ours@mixed"}
+    judged = results["arms"]["ours@mixed"]
+    assert set(judged["recall"]) == set(OBJECTS) and set(judged["dreams"]["lit"]) == {"1", "2"}
     report = (tmp_path / "report.md").read_text()
     for name in ("fig9.png", "fig9_random.png", "horizon.png", "dream.gif"):
         assert f"({name})" in report and (tmp_path / name).exists()
@@ -347,29 +342,24 @@ def test_frame_prediction_leaves_tables_and_figures(tmp_path):
         (["--game", "ale", "--arms", "true_ball"], "--game jax"),
         (["--frame-skip", "8", "--arms", "oracle"], "--frame-skip 4"),
         (["--arms"], "--arms"),
-        (["--steps", "9"], "--steps"),
+        (["--steps", "0"], "--steps"),
         (["--frames", "rgb"], "--look convolutions"),
-        (["--frames", "grey", "--look", "convolutions"], "--arms dyna cannot tell"),
         (["--frames", "rgb", "--look", "convolutions", "--arms", "true_own"], "--arms true_own"),
-        (
-            ["--frames", "grey", "--look", "convolutions", "--patch", "5", "--arms", "dyna_l2"],
-            "--patch 5",
-        ),
         (["--hparams.env.max-steps", "9"], "--steps"),
         (["--hparams.env.opponent-rest", "0"], "--hparams.env.opponent-rest"),
         (["--game", "ale", "--hparams.env.opponent-speed", "1"], "--game jax"),
         (["--game", "ale", "--serve-delay", "9"], "--serve-delay"),
         (["--dropout", "1"], "--dropout"),
-        (["--part", "model", "--dropout", "-0.1"], "--dropout"),
+        (["--part", "frames", "--dropout", "-0.1"], "--dropout"),
         (["--glimpse", "4"], "odd"),
         (["--scale", "3"], "divisor of 160"),
-        (["--part", "model", "--patch", "20"], "--patch 20"),
-        (["--part", "model", "--horizon", "195"], "--horizon"),
-        (["--part", "model", "--policies"], "--policies"),
+        (["--part", "frames", "--patch", "20"], "--patch 20"),
+        (["--part", "frames", "--horizon", "195"], "--horizon"),
+        (["--part", "frames", "--policies"], "--policies"),
     ],
 )
 def test_bad_input_is_one_line(arguments, words, capsys):
     with pytest.raises(SystemExit) as stop:
-        pong.main(arguments)
+        run(*arguments)
     said = capsys.readouterr().err
     assert stop.value.code == 2 and words in said and len(said.splitlines()) == 1

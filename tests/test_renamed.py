@@ -15,6 +15,7 @@ PROG = "python -m jaxdyna.experiments."
 RECORDS = sorted((ROOT / "experiments").glob("*/results.json"))
 TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LAB_BOOK = ROOT / "experiments" / "README.md"
+NO_EXPERIMENT = "merge"
 
 
 def parsed(module, arguments):
@@ -27,8 +28,8 @@ def parsed(module, arguments):
 
 
 def commands(text):
-    """Those in a text; a line's comment is none of it."""
-    found = re.findall(rf"{PROG}((?:(?! && )[^`\n])+)", text)
+    """Those of experiments in a text; a line's comment is none of it."""
+    found = re.findall(rf"{PROG}(?!{NO_EXPERIMENT})((?:(?! && )[^`\n])+)", text)
     return [shlex.split(said, comments=True) for said in found]
 
 
@@ -50,13 +51,20 @@ def test_a_recorded_command_parses_to_its_own_settings(path):
 
 @pytest.mark.parametrize("page", [*TEXTS, LAB_BOOK], ids=lambda page: page.parent.name)
 def test_a_command_in_a_text_parses(page):
-    found = commands(page.read_text())
-    assert found
-    for command in found:
+    for command in commands(page.read_text()):
         today = respelled(command)
         assert today is not None
         parsed(today[0], today[1:])
         assert page == LAB_BOOK or today == command, "spell it as today"
+
+
+def test_commands_are_found_in_texts():
+    text = (
+        "`python -m jaxdyna.experiments.maze --part frames && python -m jaxdyna.experiments.pong`"
+    )
+    line = "\npython -m jaxdyna.experiments.maze --quick   # in 2 minutes, not --part frames"
+    found = [["maze", "--part", "frames"], ["pong"], ["maze", "--quick"]]
+    assert commands(f"{text}, then `python -m jaxdyna.experiments.merge A B`{line}") == found
 
 
 def test_old_spellings_become_todays():
@@ -73,6 +81,7 @@ def test_old_spellings_become_todays():
         "maze --dyna.rare-share None --model paper",
         "pong --preset=paper --part=model --paper.updates 3 --steps 9 --stages 1 2":
         "pong --part frames --preset tuned --paper.updates 3 --steps 9 --stages 1 2",
+        "pong --arms more_updates dyna": "pong --arms max_updates dyna",
         "maze_bench --rounds 2": "benchmark --part steps --rounds 2",
         "pong_likeness --seed 1": "cut",
     }.items():  # fmt: skip

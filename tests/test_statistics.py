@@ -5,11 +5,12 @@ import json
 import numpy as np
 import pytest
 
+from jaxdyna.experiments.report.summaries import describe_arm
 from jaxdyna.statistics import (
     SolveRule,
     bootstrap_interval,
     episodes_to_solve,
-    interquartile_mean,
+    median_interval,
     r_squared,
     rank_correlation,
     ratio_of_means,
@@ -41,20 +42,40 @@ def test_steps_before_the_window():
     np.testing.assert_array_equal(steps_before(lengths, np.array([1, 3, INF])), [0, 3, INF])
 
 
-def test_interquartile_mean_drops_a_quarter_at_each_end():
-    assert interquartile_mean(np.array([1.0, 100, 2, 3, 4, 5, 6, -50])) == 3.5
-    assert interquartile_mean(np.array([1.0, 2, 3, 4, INF, 2, 3, 4])) == 3.0
-    assert interquartile_mean(np.array([1.0, INF, INF, 2])) == INF
-
-
 def test_unsolved_seeds_are_never_dropped():
-    summary = summarise(np.array([100.0, 200, 300, INF]), at_least=1000)
-    assert summary["per_seed"] == [100, 200, 300, None]
-    assert (summary["solved"], summary["seeds"]) == (3, 4)
-    assert summary["mean"] is None and summary["mean_at_least"] == 400
-    assert summary["median"] == 250 and summary["iqm"] == 250
+    summary = summarise(np.array([100.0, 200, 300, INF, 250, 350, 400]), at_least=1000)
+    assert summary["per_seed"] == [100, 200, 300, None, 250, 350, 400]
+    assert (summary["solved"], summary["seeds"]) == (6, 7)
+    assert summary["mean"] is None and summary["median"] == 300
+    assert summary["budget"] == 1000
+    np.testing.assert_allclose(summary["restricted_mean"], 2600 / 7)
     assert summary["ci95"][0] >= 100 and summary["ci95"][1] is None
+    assert summary["median_ci95"] == [100, None]
     json.dumps(summary, allow_nan=False)
+
+
+def test_where_there_is_no_honest_interval_there_is_none():
+    few, alike = summarise(np.arange(5.0)), summarise(np.full(8, 3.0))
+    assert few["ci95"] is few["median_ci95"] is alike["ci95"] is None
+    assert few["budget"] is few["restricted_mean"] is None and few["mean"] == 2
+
+
+def test_a_medians_interval_is_exact_by_ranks():
+    ends = {count: median_interval(np.arange(1.0, count + 1)) for count in (6, 10, 20, 100, 1000)}
+    assert ends == {6: [1, 6], 10: [2, 9], 20: [6, 15], 100: [40, 61], 1000: [469, 532]}
+
+
+def test_an_arms_figures_are_those_of_each_runs_own_episodes():
+    """A run that ended after three episodes, one that played on and did not solve."""
+    returns = np.array([[1.0, 6, 6, np.nan, np.nan], [5.0, 5, 0, 0, 2]])
+    curves = {"real_return": returns, "real_length": np.where(np.isnan(returns), np.nan, 10.0)}
+    arm = describe_arm(curves, SolveRule(2, 6.0), budget=5)
+    assert arm["episodes_to_solve"]["per_seed"] == [3, None]
+    assert arm["episodes_to_solve"]["restricted_mean"] == 4
+    assert arm["first_solved"]["per_seed"] == [2, None]
+    assert arm["real_steps_to_solve"]["per_seed"] == [10, None]
+    assert arm["final_return"]["per_seed"] == [6, 1] and arm["final_return"]["solved"] == 1
+    assert arm["episodes_played"]["per_seed"] == [3, 5] and arm["solved_and_held"] == 0
 
 
 def test_bootstrap_covers_the_true_mean_about_as_often_as_it_says():

@@ -93,6 +93,24 @@ def one_step_sums(predict: Predict) -> Callable[[Any, Transition, Key], dict[str
     return diagnose
 
 
+def change_error(predict: Predict) -> Callable[[Any, Transition, Key], dict[str, jax.Array]]:
+    """A ``diagnose`` for `jaxdyna.dyna.Dyna` where observations are vectors.
+
+    Returns:
+        ``diagnose(params, transitions [N, T], key)`` giving ``model_error``, a scalar: the squared
+        error one step ahead over the mean square of a step's change, averaged over the variables.
+        What does not change, and is predicted so, counts as 0.
+    """
+    sums_of = one_step_sums(predict)
+
+    def diagnose(params: Any, transitions: Transition, key: Key) -> dict[str, jax.Array]:
+        sums = sums_of(params, transitions, key)
+        error, change = sums["state_error"], sums["change_square"]
+        return {"model_error": jnp.where(error == 0, 0, error / change).mean()}
+
+    return diagnose
+
+
 def frame_errors(predict: Predict) -> Callable[[Any, Transition, Key], dict[str, jax.Array]]:
     """A ``diagnose`` for `jaxdyna.dyna.Dyna` where observations are frames.
 

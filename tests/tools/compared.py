@@ -18,24 +18,26 @@ class Verdict:
         total: arrays compared by value.
         equal: those whose values are the same, or within the tolerance.
         differences: ``(episode, run, in words)``: the first of each array that differs.
-        notes: what else there is to say.
+        notes: what else there is to say, with the arms that it is said of.
     """
 
     total: int = 0
     equal: int = 0
     differences: list[tuple[int, int, str]] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    notes: dict[str, list[str]] = field(default_factory=dict)
 
     @property
     def first(self) -> str:
         """The first difference of all; "" where there is none."""
         return min(self.differences)[2] if self.differences else ""
 
-    def missing(self, what: str, allowed: bool = False) -> None:
-        """Something that only the base has."""
-        self.notes.append(f"{what}: only in the base")
-        if not allowed:
-            self.differences.append((-1, 0, f"{what}: only in the base"))
+    def note(self, said: str, arm: str) -> None:
+        """Says it of one arm more."""
+        self.notes.setdefault(said, []).append(arm)
+
+    def differs(self, said: str) -> None:
+        """What is not as in the base from the start."""
+        self.differences.append((-1, 0, said))
 
 
 class Pair(NamedTuple):
@@ -48,7 +50,7 @@ class Pair(NamedTuple):
     by_episode: bool
 
 
-def compare(old: Curves, new: Curves, tolerance: float | None = None) -> Verdict:
+def compare(old: Curves, new: Curves, tolerance: float | None = None, module: str = "") -> Verdict:
     """Compares what two trees left, by arm.
 
     Args:
@@ -56,17 +58,21 @@ def compare(old: Curves, new: Curves, tolerance: float | None = None) -> Verdict
         new: the other's.
         tolerance: None wants the same bits. Otherwise what `renamed.LOSSES` names may differ by as
             much until anything else of the same run differs by more; from there on all may.
+        module: whose arms they are.
     """
     verdict = Verdict()
-    today = {renamed.arrays(arm, "")[0]: values for arm, values in old.items()}
-    verdict.notes += [f"{arm}: only new" for arm in new if arm not in today]
+    today = {renamed.arm_of(module, arm): values for arm, values in old.items()}
+    for arm in new:
+        if arm not in today:
+            verdict.note("only new", arm)
     for arm, values in today.items():
         if arm not in new:
-            verdict.missing(arm)
+            verdict.differs(f"{arm}: only in the base")
             continue
         pairs = _matched(verdict, arm, values, new[arm])
         until = {} if tolerance is None else _goes_apart(pairs, tolerance)
-        verdict.notes += [f"{arm}: run {run} goes apart at {at + 1}" for run, at in until.items()]
+        for run, at in until.items():
+            verdict.note(f"run {run} goes apart at {at + 1}", arm)
         wrong = {}
         for pair in pairs:
             if not pair.by_episode and until.get(pair.run):
@@ -87,38 +93,41 @@ def _matched(verdict: Verdict, arm: str, old: Mapping, new: Mapping) -> list[Pai
     """What both have of an arm; the rest, and what is judged, goes to the verdict."""
     pairs, known = [], set()
     for name, values in old.items():
-        found = next((one for one in renamed.arrays(arm, name)[1] if one in new), None)
+        names = renamed.arrays(name)
+        judged = renamed.is_one(name, renamed.JUDGED)
+        found = next((one for one in names if one in new), None)
         known.add(found)
         if found is None:
-            verdict.missing(f"{arm}/{name}", renamed.is_one(name, renamed.GONE))
+            verdict.note(f"{name}: only in the base{', judged' if judged else ''}", arm)
+            if names and not judged:
+                verdict.differs(f"{arm}/{name}: only in the base")
             continue
         other, shown = new[found], found.startswith("show_")
         alone = values[0] if shown and values.ndim > other.ndim else values
-        if renamed.is_one(name, renamed.JUDGED):
-            verdict.notes.append(f"{arm}/{name}: judged: {_judged(alone, other)}")
-            if alone.shape != other.shape:
-                said = f"{arm}/{name}: {alone.shape} is now {other.shape}"
-                verdict.differences.append((-1, 0, said))
+        if judged:
+            verdict.note(f"{name}: judged: {_judged(alone, other)}", arm)
         elif shown:
+            alone, other = np.atleast_1d(alone), np.atleast_1d(other)
             pairs.append(_cut(Pair(name, 0, alone, other, False), old, new))
         elif len(values) != len(other):
-            said = f"{arm}/{name}: {len(values)} runs are now {len(other)}"
-            verdict.differences.append((-1, 0, said))
+            verdict.differs(f"{arm}/{name}: {len(values)} runs are now {len(other)}")
         else:
             both = enumerate(zip(values, other, strict=True))
             pairs += [_cut(Pair(name, run, *map(np.atleast_1d, pair), False), old, new)
                       for run, pair in both]  # fmt: skip
-    verdict.notes += [f"{arm}/{name}: only new" for name in new if name not in known]
+    for name in new:
+        if name not in known:
+            verdict.note(f"{name}: only new", arm)
     whole = sum(len(pair.old) for pair in pairs if pair.name == "real_return")
     if "real_return" in old and whole < old["real_return"].size:
-        said = f"{whole} of {old['real_return'].size} episodes, up to the runs' own ends"
-        verdict.notes.append(f"{arm}: {said}")
+        of = old["real_return"].size
+        verdict.note(f"{whole} of {of} episodes, up to the runs' own ends", arm)
     return pairs
 
 
 def _judged(old: np.ndarray, new: np.ndarray) -> str:
     if old.shape != new.shape:
-        return "shape different"
+        return f"shape {old.shape} is now {new.shape}"
     return "shape equal" if _first(old, new, None) is not None else "shape and values equal"
 
 

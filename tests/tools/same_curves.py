@@ -49,12 +49,12 @@ def main() -> int:
             if failed:
                 verdict = Verdict(differences=[(-1, 0, f"failed: {last_line(failed[0])}")])
             else:
-                verdict = compare(left(outs[0]), left(outs[1]), asked.tolerance)
+                verdict = compare(*map(left, outs), asked.tolerance, COMMANDS[name][0])
             wrong += [name] if verdict.first else []
             counts = f"{verdict.equal:3} of {verdict.total:3} arrays equal"
             print(f"{name:22} {counts}  {verdict.first}", flush=True)
-            for note in verdict.notes if asked.notes else ():
-                print(f"    {note}")
+            for note, arms in verdict.notes.items():
+                print(f"    {note} ({len(arms)} arms)" if len(arms) > 2 else f"    {note} {arms}")
     print(f"different: {', '.join(wrong)}" if wrong else "all the same")
     return 1 if wrong else 0
 
@@ -70,8 +70,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--keep", type=Path, metavar="DIR",
                         help="keep the results; the base's are not made twice")  # fmt: skip
     parser.add_argument("--tolerance", type=float, help="see compared.compare")
-    parser.add_argument("--notes", action="store_true",
-                        help="say what is judged, and what only one of them has")  # fmt: skip
     parser.add_argument("--old-spelling", action="store_true",
                         help="the other tree is told the commands as the base is")  # fmt: skip
     return parser.parse_args()

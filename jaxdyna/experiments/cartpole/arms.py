@@ -27,7 +27,7 @@ from jaxdyna.models import (
     supervised,
     uniform_start,
 )
-from jaxdyna.models.evaluation import Predict, one_step_sums
+from jaxdyna.models.evaluation import Predict, change_error
 from jaxdyna.planners import (
     Guide,
     SearchConfig,
@@ -111,7 +111,7 @@ def parts(
         )
 
     policy = reinforce((4,), env.num_actions, agent)
-    dyna = Dyna(env, policy, learner, Dream(learned, learned_params), one_step_sums(predict))
+    dyna = Dyna(env, policy, learner, Dream(learned, learned_params), change_error(predict))
     return on_common(dyna, model.common_transitions()) if common else dyna
 
 

@@ -33,7 +33,11 @@ class CartPoleOptions(Options):
         "mcts.gumbel_scale": "the search, which is MuZero's",
     }
 
-    arms: tuple[str, ...] = setting(("model_free", "dyna"), "what is played", everyday=True)
+    arms: tuple[str, ...] = setting(
+        ("model_free", "dyna"), "what is played: these, the controls placebo and oracle, and "
+        "planners on the learned model: mpc, mcts, mpc_init, mpc_init_dyna, mpc_clone",
+        everyday=True,
+    )  # fmt: skip
     stop_after_solved: int | None = setting(
         100, "real episodes that a run plays on once it has solved; None plays all", at_least=0,
         everyday=True,

@@ -1,5 +1,6 @@
-"""Catch: DQN with and without a learned model of its frames, as the worked example of an experiment."""
+"""Catch, the worked example of an experiment: DQN, with and without a model of its frames."""
 
 from jaxdyna.experiments.catch.acting import CATCH
+from jaxdyna.experiments.catch.frames import FRAMES
 
-PARTS = (CATCH,)
+PARTS = (CATCH, FRAMES)

@@ -101,6 +101,7 @@ def arms(options: CatchOptions) -> dict[str, study.Made]:
 @cache
 def true_dream(game: Catch) -> Dream:
     """The oracle's dreams: the true game from any frames that a real episode has shown."""
+
     def read(stack: jax.Array, key: jax.Array) -> CatchState:
         newest = stack[..., -3:] > 0
         row, column = jnp.unravel_index(jnp.argmax(newest[..., 0]), newest.shape[:2])
@@ -150,7 +151,7 @@ CATCH = Experiment(
     name="catch",
     title="Catch",
     presets={"tuned": TUNED, "lean": LEAN},
-    quick=dict.fromkeys(("tuned", "lean"), {"seeds": 2, "episodes": 120}),
+    quick={name: {"seeds": 2, "episodes": 120} for name in ("tuned", "lean")},
     arms=arms,
     rule=lambda options: RULE,
     describe=(describe,),

@@ -60,6 +60,20 @@ def called(argv: Sequence[str], prog: str) -> tuple[Call, list[str]]:
     )
 
 
+def read(kind: type[O], argv: Sequence[str], prog: str) -> O:
+    """The arguments of a command that is no experiment.
+
+    Args:
+        kind: a dataclass.
+        argv: the arguments.
+        prog: the command as the user types it.
+
+    Raises:
+        SystemExit: with code 2 and one line on bad input.
+    """
+    return _quietly(prog, argv, lambda: tyro.cli(kind, args=list(argv), prog=prog))
+
+
 def parse(default: O, argv: Sequence[str], prog: str) -> O:
     """An experiment's settings.
 
@@ -116,7 +130,7 @@ def swept(options: Any, said: Sequence[str]) -> dict[str, list[Any]]:
 def _value(leaf: Leaf, text: str) -> Any:
     """A setting's value as typed; numbers of a tuple are joined by x."""
     hint = str(leaf.hint)
-    named = {getattr(choice, "__name__", str(choice)): choice for choice in leaf.choices}
+    named = dict(leaf.choices)
     words = {str(word): word for word in get_args(leaf.hint) if isinstance(word, str)}
     if text in named or text in words:
         return (named | words)[text]
@@ -160,7 +174,7 @@ def _shown(default: Any) -> list[Leaf]:
 
 
 def _flag(leaf: Leaf, width: int) -> list[str]:
-    words = [str(word) for word in get_args(leaf.hint) if isinstance(word, str)]
+    words = [*leaf.choices, *(word for word in get_args(leaf.hint) if isinstance(word, str))]
     value = fields.plain(leaf.value)
     value = " ".join(map(str, value)) if isinstance(value, list) else value
     value = f"  [{value}]" if value not in (None, "", False) else ""
@@ -190,7 +204,12 @@ def _quietly(prog: str, argv: Sequence[str], call: Any) -> Any:
     try:
         with contextlib.redirect_stderr(complaint):
             return call()
-    except SystemExit:
+    except SystemExit as stop:
+        cause: BaseException | None = stop
+        while cause is not None and not isinstance(cause, SettingError):
+            cause = cause.__context__  # tyro puts it in a panel, by the name of its field alone
+        if cause is not None:
+            fail(f"{flag_of(cause, argv)} {cause.said}", prog)
         fail(_one_line(complaint.getvalue()), prog)
     except SettingError as error:
         fail(f"{flag_of(error, argv)} {error.said}", prog)

@@ -138,7 +138,9 @@ class Study(NamedTuple):
 
     def experiment(self) -> Experiment:
         """The experiment whose arms are the rows."""
-        base = fields.changed(self.of.presets[self.preset], {"arms": (), **self.common})
+        base = fields.changed(self.of.presets[self.preset], self.common)
+        if "arms" not in self.common:
+            base = fields.changed(base, {"arms": tuple(self.rows(base.resolved()))})
 
         def arms(options: Any) -> Mapping[str, Callable[[], Arm]]:
             return {

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
 import json
-import os
 import shlex
 import shutil
 import signal
@@ -35,6 +35,7 @@ from jaxdyna.experiments.engine.experiment import (
 )
 from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.storage import (
+    check_writable,
     provenance,
     read_curves,
     read_json,
@@ -174,7 +175,7 @@ class Session:
         self.arms = {entry.name: entry.make() for entry in self.entries}
         if self.resume:
             self._take_up()
-        _check_writable(self.out)
+        check_writable(self.out)
         if not self.resume:
             set_aside(self.out)
         self.checkpoints.mkdir(exist_ok=True)
@@ -298,21 +299,21 @@ class Session:
         results = read_json(self.out / "results.json")
         finished = results and {
             **{name: results.get(name) for name in ("experiment", "part", "sweep")},
-            "shard": results["runs"]["shard"],
+            "shard": results.get("runs", {}).get("shard"),
             "config": {k: v for k, v in results["config"].items() if k not in NOT_SETTINGS},
         }
         before, now = begun or finished, self._identity()
         if before is None:
             raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
         differ = [name for name in now if name != "config" and before.get(name) != now[name]]
-        differ += _different(before["config"], now["config"])
+        differ += different(before["config"], now["config"])
         if differ:
             flags = ", ".join(f"--{name.replace('_', '-')}" for name in differ)
             raise ValueError(
                 f"the run in {self.out} had other settings for {flags}: resume with the same, or "
                 "choose another --out"
             )
-        if not finished or _different(finished["config"], now["config"]):
+        if not finished or different(finished["config"], now["config"]):
             return
         self.earlier = results
         self.earlier_s = results["timing"]["total_s"]
@@ -399,6 +400,30 @@ def results_of(
     return results
 
 
+def recorded(results: Results) -> tuple[Experiment, Any, dict[str, list[Any]]]:
+    """What a record says that was played, from its ``results.json``.
+
+    Returns:
+        The experiment, its settings, and the values that were swept, by dotted path.
+
+    Raises:
+        ValueError: where there is no such experiment, or it does not read the settings.
+    """
+    try:
+        parts = importlib.import_module(shlex.split(results["command"])[2]).PARTS
+        part = {part.name: part for part in parts}[results["part"]]
+        experiment = part.experiment() if isinstance(part, Study) else part
+        default = experiment.presets[results["preset"]]
+    except (ImportError, AttributeError, LookupError):
+        raise ValueError(f"there is no such experiment: {results['command']}") from None
+    options = fields.restored(default, results["config"])
+    sweep = {
+        path: [fields.value_at(fields.restored(options, {path: value}), path) for value in values]
+        for path, values in results["sweep"].items()
+    }
+    return experiment, options, sweep
+
+
 def write_report(experiment: Experiment, record: Record) -> None:
     """Writes ``report.md`` and its figures into the record's folder."""
     head = [f"# {experiment.title}", f"`{record.results['command']}`"]
@@ -424,7 +449,7 @@ def _identifier(group: Sequence[Entry], runs: Runs) -> str:
     return f"{safe}-{digest:08x}"
 
 
-def _different(before: Results, now: Results, prefix: str = "") -> list[str]:
+def different(before: Results, now: Results, prefix: str = "") -> list[str]:
     """Paths of the settings that differ; ones that did not exist then are as they were."""
     paths = []
     for name, value in now.items():
@@ -432,22 +457,9 @@ def _different(before: Results, now: Results, prefix: str = "") -> list[str]:
             continue
         nested = isinstance(value, dict) and isinstance(before[name], dict)
         paths += (
-            _different(before[name], value, f"{prefix}{name}.") if nested else [f"{prefix}{name}"]
+            different(before[name], value, f"{prefix}{name}.") if nested else [f"{prefix}{name}"]
         )
     return paths
-
-
-def _check_writable(folder: Path) -> None:
-    """Makes the folder and tries it, before an hour's work is lost for want of it."""
-    probe = folder / f".probe-{os.getpid()}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"")
-        probe.unlink()
-    except OSError as error:
-        raise ValueError(
-            f"cannot write to --out {folder} ({error.strerror}): choose another folder"
-        ) from None
 
 
 @contextmanager

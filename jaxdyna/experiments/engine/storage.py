@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 import shutil
 import subprocess
@@ -93,6 +94,23 @@ def _replace(path: Path, content: bytes) -> None:
     part = path.with_name(path.name + ".part")
     part.write_bytes(content)
     part.replace(path)
+
+
+def check_writable(folder: Path) -> None:
+    """Makes the folder and tries it, before an hour's work is lost for want of it.
+
+    Raises:
+        ValueError: where it cannot be written to.
+    """
+    probe = folder / f".probe-{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        raise ValueError(
+            f"cannot write to --out {folder} ({error.strerror}): choose another folder"
+        ) from None
 
 
 def set_aside(out: Path) -> None:

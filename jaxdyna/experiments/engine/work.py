@@ -45,8 +45,8 @@ class Work(NamedTuple):
             use the axis `jaxdyna.sweep.RUNS`, along which runs are computed together.
         data: ``(key, hparams) -> data``: a run's fixed input, made again on resume instead of
             saved; None for none. It gets the key that ``init`` gets.
-        collect: ``(seeds, seed) -> data`` with the runs' axis in front: the same by the host, such
-            as an emulator's episodes, from the runs' numbers ``[runs]`` and the base seed.
+        collect: ``(runs) -> data`` with the runs' axis in front: the same by the host, such as an
+            emulator's episodes, from whatever `Runs` says of them but their keys.
         judge: ``(state, data, key, hparams) -> arrays``: of a run that is over.
         show: likewise of the first run alone: examples, films.
         piece: units between two looks at the clock: a run is over at a multiple of it at the
@@ -57,7 +57,7 @@ class Work(NamedTuple):
     init: Callable[[Key, Any], Any]
     step: Callable[[Any, Any, jax.Array, Any], tuple[Any, dict[str, jax.Array]]]
     data: Callable[[Key, Any], Any] | None = None
-    collect: Callable[[np.ndarray, int], Any] | None = None
+    collect: Callable[[Runs], Any] | None = None
     judge: Callable[[Any, Any, Key, Any], dict[str, jax.Array]] | None = None
     show: Callable[[Any, Any, Key, Any], dict[str, jax.Array]] | None = None
     piece: int = 50
@@ -189,7 +189,7 @@ class Engine:
         """
         rows = np.arange(len(runs.seed))
         blocks = [rows[first : first + work.block] for first in range(0, len(rows), work.block)]
-        collected = work.collect(runs.seed, runs.base) if work.collect else None
+        collected = work.collect(runs) if work.collect else None
         say("compiling", 0, 0)
         began = time.perf_counter()
         where = places(self.workers)[: len(blocks)]
@@ -297,13 +297,15 @@ def _loop(work: Work, state: Any, data: Any, first: Any, count: Any, hparams: An
     up to `Work.piece`; metrics are ``[piece, ...]``, of which so many count.
     """
 
+    step = jax.jit(work.step, inline=True)  # what is traced for its shapes is not traced again
+
     def unit(number: jax.Array, carry: Any) -> Any:
         state, kept = carry
-        state, new = work.step(state, data, first + number, hparams)
+        state, new = step(state, data, first + number, hparams)
         kept = jax.tree.map(lambda all_, one: all_.at[number].set(one), kept, new)
         return state, kept
 
-    shapes = jax.eval_shape(lambda: work.step(state, data, first, hparams)[1])
+    shapes = jax.eval_shape(step, state, data, first, hparams)[1]
     kept = jax.tree.map(lambda one: jnp.zeros((work.piece, *one.shape), one.dtype), shapes)
     return jax.lax.fori_loop(0, count, unit, (state, kept))
 
@@ -337,8 +339,8 @@ class _Block:
             self.tally.add(self.done * len(self.rows), len(self.over_at))
         if self._left():
             self._play_on(collected, store, kept)
-        if store:
-            store.save(Kept(self.done, None, {}, self.over_at), self.tally.seconds())
+            if store:
+                store.save(Kept(self.done, None, {}, self.over_at), self.tally.seconds())
         return [self.over_at[row] for row in range(len(self.rows))]
 
     def _left(self) -> list[int]:

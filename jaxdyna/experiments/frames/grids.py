@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any, ClassVar, Literal
 
 import jax
@@ -12,25 +12,21 @@ import jax.numpy as jnp
 
 from jaxdyna import frame_replay
 from jaxdyna.envs import FrameStack
-from jaxdyna.experiments.engine import Arm, Work
-from jaxdyna.experiments.frames.options import (
-    FrameOptions,
-    Training,
-    decayed_adam,
-    without_stages,
-)
+from jaxdyna.experiments.engine import Arm, Experiment, Work
+from jaxdyna.experiments.frames.options import FrameOptions, Training, decayed_adam, without_stages
+from jaxdyna.experiments.frames.report import FrameReport
 from jaxdyna.experiments.frames.training import frame_work, stages
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
 from jaxdyna.fields import setting
 from jaxdyna.frame_replay import FrameReplay
 from jaxdyna.losses import bce, l1, l2
 from jaxdyna.models import PixelConfig, frame_probability, pixels
-from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalReward, SignedReward
+from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalReward
 from jaxdyna.replay import share_weight
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Key, Transition
 
-RULES = {"lit": "threshold", "drawn": "drawing"}
+FAINT = 0.05
 SAID = {
     "paper": "Fig. 4 with the multi-label cross-entropy. Not in the paper: the number of channels "
     "(the authors' code has 128), weight decay and the cosine, an action's factor of the product "
@@ -43,30 +39,24 @@ SAID = {
     "lean_l1": "the same under L1.",
 }
 """What the models are."""
-HEADS = {
-    "joint": JointReward(), "local": LocalReward(), "signed": SignedReward(), "none": None,
-}  # fmt: skip
+HEADS = {"joint": JointReward(), "local": LocalReward(), "none": None}
 
 
 @dataclass(frozen=True, kw_only=True)
 class GridOptions(FrameOptions):
-    """Frame models of a grid. A subclass has ``steps``, of an episode, and `world`.
+    """Frame models of a grid; a subclass has its `world`.
 
     Attributes:
         dream_from: step of a held-out episode from which models dream.
         own_head: the reward head of our models.
-        faint: see `World`.
-        kinds: see `World`.
         channels: see `World`.
     """
 
-    dream_from: ClassVar[int] = 10
+    dream_from: ClassVar[int] = 0
     own_head: ClassVar[str] = "local"
-    faint: ClassVar[float] = 0.05
-    kinds: ClassVar[int] = 4
     channels: ClassVar[tuple[int, ...]] = (0, 1, 2)
-    steps: Any
 
+    steps: int = setting(200, "steps of an episode", at_least=1, everyday=True)
     arms: tuple[str, ...] = setting(("paper", "lean"), "the models that are trained", everyday=True)
     episodes: int = setting(
         300, "episodes of the random policy at the most", at_least=1, everyday=True
@@ -87,16 +77,14 @@ class GridOptions(FrameOptions):
     lean_widths: tuple[int, ...] = setting(
         (32, 32, 32), "channels of our 3x3 convolutions", at_least=1
     )
-    reward: Literal["own", "joint", "local", "signed", "none"] = setting(
-        "own", "reward head: joint, off the features of stack and action; signed, likewise a "
-        "class; local, a sum over cells of the predicted frame; own: none for the paper's models "
-        "but paper_reward, whose is joint",
+    reward: Literal["own", "joint", "local", "none"] = setting(
+        "own", "reward head: joint, off the features of stack and action; local, a sum over cells "
+        "of the predicted frame; own: none for the paper's models but paper_reward, whose is joint",
     )  # fmt: skip
     paper: Training = setting(
-        factory=lambda: Training(8000, 40, 32, 3e-3, 0.4, None),
-        help="training of the paper's model",
+        factory=lambda: Training(8000, 40, 32, 3e-3, 0.4, None), help="of the paper's model"
     )
-    lean: Training = setting(factory=Training, help="training of ours")
+    lean: Training = setting(factory=Training, help="of ours")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -126,6 +114,18 @@ class GridOptions(FrameOptions):
         raise NotImplementedError
 
 
+def experiment(
+    title: str, presets: Mapping[str, GridOptions], quick: Mapping[str, Any], **report: Any
+) -> Experiment:
+    """A grid's experiment; ``report`` is what it says of itself, see `FrameReport`."""
+    rules = {"lit": "threshold", "drawn": "drawing"}
+    said = FrameReport(said=SAID, prefer=near, rules=rules, **report)
+    return Experiment(
+        name="frames", title=title, presets=presets, arms=arms, quick=quick,
+        describe=(said.describe,), sections=said.sections, summary=said.summary,
+    )  # fmt: skip
+
+
 def arms(options: GridOptions) -> dict[str, Callable[[], Arm]]:
     """Every model at every stage; one with another loss at that of the ablation alone."""
     made: dict[str, Callable[[], Arm]] = {}
@@ -134,13 +134,14 @@ def arms(options: GridOptions) -> dict[str, Callable[[], Arm]]:
         played = options.played if arm in ("paper", "lean") else [near(options, options.played)]
         program = without_stages(options, ("paper", "lean"))
         parts = {str(stage): (stage, stage) for stage in played}
-        made |= stages(arm, lambda arm=arm, program=program: work(program, arm), training, parts)
+        made |= stages(arm, partial(work, program, arm), training, parts)
     return made
 
 
 def near(options: GridOptions, stages: Any) -> Any:
     """The stage nearest to that at which losses are compared."""
-    return min(stages, key=lambda stage: abs(int(stage) - options.ablation_stage))
+    at = options.ablation_stage
+    return min(stages, key=lambda stage: abs(int(str(stage).split(",")[0]) - at))
 
 
 @cache
@@ -211,8 +212,7 @@ def random_episodes(options: GridOptions, rare_share: float | None) -> World:
     return World(
         data, sample, take, truth, options.held_out, options.steps, (options.dream_from,),
         options.horizon, options.channels, lambda data: (0, max(options.dream_from - 1, 0)),
-        faint=options.faint, kinds=options.kinds,
-        tolerance=min(filter(None, smallest), default=1.0) / 2,
+        faint=FAINT, tolerance=min(filter(None, smallest), default=1.0) / 2,
     )  # fmt: skip
 
 

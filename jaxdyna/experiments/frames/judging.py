@@ -23,10 +23,11 @@ def judge(world: World, asked: Asked, params: Any, data: Any, key: Key) -> Judge
         ``one_step`` ``[thresholds, classes, 3]``: pixels rightly lit, lit, and to be lit, by
         `THRESHOLDS`; ``threshold``, the one that the model uses; ``mass`` ``[classes, 2]``: sums of
         the beliefs at pixels that are lit, and of those above `World.faint` elsewhere; where
-        rewards are predicted, ``reward`` ``[kinds, 2]``: those that are right, and all; by rule
-        ``dream_RULE`` ``[horizon, classes, 3]`` as ``one_step`` for open-loop dreams, ``pixels`` of
-        each of their steps, and where some steps are counted apart ``dream_RULE_apart`` and
-        ``steps_apart``, how many, ``[horizon]``.
+        rewards are predicted, ``reward`` ``[4, 2]``: those that are right, and all, where they are
+        below 0, above 0, 0, and below 0 in the first step; by rule ``dream_RULE`` ``[horizon,
+        classes, 3]`` as ``one_step`` for open-loop dreams, ``pixels`` of each of their steps, and
+        where some steps are counted apart ``dream_RULE_apart`` and ``steps_apart``, how many,
+        ``[horizon]``.
     """
     key_steps, key_dreams = jax.random.split(key)
 
@@ -58,14 +59,13 @@ def _one_step(
         ),
         "mass": jnp.stack(mass, axis=-1)[np.array(world.channels)],
     }
-    if world.kinds and asked.rewards:
+    if asked.rewards:
         keys, predict = jax.random.split(key, world.steps), asked.rules[0][1]
         said = jax.vmap(predict, (None, 0, 0, 0))(params, seen.obs, seen.action, keys).reward
         right = jnp.abs(said - seen.reward) < world.tolerance
         below = seen.reward < 0
         kinds = jnp.stack([below, seen.reward > 0, seen.reward == 0, below & (times == 0)])
-        reward = jnp.stack([(kinds & right).sum(1), kinds.sum(1)], axis=-1)
-        judged["reward"] = reward[: world.kinds]
+        judged["reward"] = jnp.stack([(kinds & right).sum(1), kinds.sum(1)], axis=-1)
     return judged
 
 

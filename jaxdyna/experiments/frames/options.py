@@ -53,6 +53,7 @@ class FrameOptions(Options):
 
     decided: ClassVar = {"stop_after_solved": "the model's updates"}
 
+    stop_after_solved: int | None = setting(None, "nothing is solved")
     held_out: int = setting(20, "new episodes that models are judged on", at_least=1, everyday=True)
     horizon: int = setting(50, "steps of an open-loop dream", at_least=1, everyday=True)
 

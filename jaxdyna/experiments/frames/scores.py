@@ -42,7 +42,8 @@ class Scored:
 
     Attributes:
         classes: their names, in the order of `World.channels`.
-        kinds: names of the kinds of rewards of `World.kinds`.
+        kinds: names of the kinds of rewards that `jaxdyna.experiments.frames.judging.judge` tells
+            apart, the first so many.
     """
 
     classes: tuple[str, ...]

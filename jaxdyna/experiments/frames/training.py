@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
@@ -65,7 +66,7 @@ def frame_work(
         transitions = world.sample(data, key_sample, stage, batch)
         rate = 0.5 * (1 + jnp.cos(jnp.pi * number / stage.updates)) * stage.learning_rate
         state, losses = model.update(learner.model, transitions, key_update, hparams_of(rate))
-        return learner.replace(model=state), {"show_frame_loss": losses["frame_loss"]}
+        return replace(learner, model=state), {"show_frame_loss": losses["frame_loss"]}
 
     def ask(about: Callable[..., judging.Judgement]) -> Any:
         return lambda learner, data, key, _: about(world, asked, learner.model.params, data, key)
@@ -79,13 +80,8 @@ def frame_work(
 def stages(
     model: str, work: Callable[[], Work], training: Training, parts: Mapping[str, tuple[int, int]]
 ) -> dict[str, Callable[[], Arm]]:
-    """A model's arms.
-
-    Args:
-        model: its name.
-        work: its training, the same object whenever it is called.
-        training: how.
-        parts: by the stage's name `Stage.part`, and how many episodes that are.
+    """A model's arms, of which ``work`` always makes the same; ``parts`` are by the stage's name
+    `Stage.part`, and how many episodes that are.
     """
 
     def arm(part: int, episodes: int) -> Arm:

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
+from jaxdyna.experiments.engine import Runs
 from jaxdyna.models.evaluation import Predict
 from jaxdyna.types import Key, Transition
 
@@ -31,16 +31,6 @@ class Stage:
     learning_rate: float | jax.Array
 
 
-def as_shares(frames: Frames) -> jax.Array:
-    """How much of each class is in each pixel where a class is a channel, in [0, 1]."""
-    return frames.astype(jnp.float32) / 255
-
-
-def the_first(truth: jax.Array) -> jax.Array:
-    """Of several dreams the first."""
-    return jnp.int32(0)
-
-
 class World(NamedTuple):
     """Episodes to learn from and new ones to be judged on, ``data``, whatever that is: `sample`
     draws from it, `take` and `truth` look at the new ones, of which all last as long.
@@ -57,16 +47,15 @@ class World(NamedTuple):
         horizon: how long these are.
         channels: of each class that is scored.
         example: ``data -> (episode, time)`` of the step that is shown.
-        shares: from frames ``[..., H, W, 3]`` to how much of each channel is in each pixel.
+        shares: from frames ``[..., H, W, 3]`` to how much of each channel is in each pixel, in
+            [0, 1].
         faint: what is believed up to here is not counted as spilled.
-        kinds: kinds of rewards that are judged apart, of: below 0, above 0, 0, below 0 in the first
-            step.
         tolerance: how far a reward may be off to be right.
         apart: from ``truth [N, horizon + 1, ...]``, what there is where dreams begin and after each
             of their steps, to which steps are counted once more by themselves, bool ``[N,
             horizon]``.
         film: from ``truth [starts, horizon + 1, ...]`` to which dream of the first episode is
-            filmed.
+            filmed, by default the first.
         collect: see `jaxdyna.experiments.engine.Work`.
     """
 
@@ -80,13 +69,12 @@ class World(NamedTuple):
     horizon: int
     channels: tuple[int, ...]
     example: Callable[[Any], tuple[Any, Any]]
-    shares: Callable[[Frames], jax.Array] = as_shares
+    shares: Callable[[Frames], jax.Array] = lambda frames: frames.astype(jnp.float32) / 255
     faint: float = 0.0
-    kinds: int = 0
     tolerance: float = 0.5
     apart: Callable[[jax.Array], jax.Array] | None = None
-    film: Callable[[jax.Array], jax.Array] = the_first
-    collect: Callable[[np.ndarray, int], Any] | None = None
+    film: Callable[[jax.Array], jax.Array] = lambda truth: jnp.int32(0)
+    collect: Callable[[Runs], Any] | None = None
 
 
 class Asked(NamedTuple):

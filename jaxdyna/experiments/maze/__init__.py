@@ -1,5 +1,7 @@
 """The Maze (§4.2): DQN with and without fake episodes, and models of its frames alone."""
 
 from jaxdyna.experiments.maze.acting import MAZE
+from jaxdyna.experiments.maze.frames import FRAMES
+from jaxdyna.experiments.maze.levers import LEVERS
 
-PARTS = (MAZE,)
+PARTS = (MAZE, FRAMES, LEVERS)

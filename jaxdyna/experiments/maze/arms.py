@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxdyna.agents import DQNConfig, dqn
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, Metrics
@@ -22,6 +23,7 @@ from jaxdyna.experiments.maze.options import MazeOptions
 from jaxdyna.experiments.maze.oracle import true_dream
 from jaxdyna.experiments.maze.planned import planned
 from jaxdyna.experiments.study import arms as study
+from jaxdyna.experiments.study.accuracy import on_common
 from jaxdyna.experiments.study.frames import frame_dyna
 from jaxdyna.losses import bce, l1, l2
 from jaxdyna.models import PixelConfig, pixels
@@ -31,6 +33,9 @@ from jaxdyna.rollout import first_states, rollout
 from jaxdyna.types import Key, Transition
 
 STARTS, AT_ONCE = 1000, 100
+JUDGED = 2
+DRIFT = (0.1, 0.35, 0.35, 0.1, 0.1)
+"""Odds of the moves of a policy that drifts to the goal."""
 SAID = study.SAID | {
     "oracle": "the same dreams in the true maze, from where those of `dyna` begin.",
     "mpc": "after the first N episodes the best of random action sequences in the learned model "
@@ -42,11 +47,12 @@ SAID = study.SAID | {
 }
 
 
-def arms(options: MazeOptions) -> dict[str, study.Made]:
-    """What makes each arm."""
+def arms(options: MazeOptions, judged: bool = True) -> dict[str, study.Made]:
+    """What makes each arm; ``judged``: and judges its policy in the end."""
     maze, agent = Maze(options.size, options.obstacles), agent_of(options)
-    model, hooks = model_of(options), study.Hooks(judge, piece=10, block=options.block)
-    dyna, dreamless = parts(maze, agent, model), replace(options.dyna, dream_updates=0)
+    model, dreamless = model_of(options), replace(options.dyna, dream_updates=0)
+    hooks = study.Hooks(judge if judged else None, piece=10, block=options.block)
+    dyna = parts(maze, agent, model, options.steps if options.judged_on == "common" else None)
     made = study.standard_arms(
         dyna, options.dyna, options.hparams, true_dream(maze), hooks,
         real_only=study.real_steps, busier=parts(maze, study.busy(agent), model).agent,
@@ -80,15 +86,18 @@ def model_of(options: MazeOptions) -> PixelConfig:
 
 
 @cache
-def parts(maze: Maze, agent: DQNConfig, model: PixelConfig) -> Dyna:
-    """The parts of ``dyna``: one object, and so one program, for the same settings."""
+def parts(maze: Maze, agent: DQNConfig, model: PixelConfig, common: int | None = None) -> Dyna:
+    """The parts of ``dyna``: one object, and so one program, for the same settings. With a model
+    that is judged on `common_transitions` of so many steps, if any.
+    """
     env, shape = FrameStack(maze), (maze.size, maze.size, 3)
     learner = dqn(shape, env.num_actions, agent)
 
     def watch(real: Transition, begun: StackState, params: MazeParams) -> Metrics:
         return behaviour(maze, real, begun, params)
 
-    return frame_dyna(env, learner, pixels(shape, env.num_actions, model), watch)
+    dyna = frame_dyna(env, learner, pixels(shape, env.num_actions, model), watch)
+    return dyna if common is None else on_common(dyna, common_transitions(env, common))
 
 
 def behaviour(maze: Maze, real: Transition, begun: StackState, params: MazeParams) -> Metrics:
@@ -117,6 +126,24 @@ def behaviour(maze: Maze, real: Transition, begun: StackState, params: MazeParam
         "show_obstacles": start.obstacles.astype(jnp.int8),
         "show_directions": start.directions.astype(jnp.int8),
     }
+
+
+@cache
+def common_transitions(env: FrameStack, steps: int) -> Transition:
+    """The same new transitions for every model, ``[2 * JUDGED, T]``: episodes of a uniformly random
+    policy, and of one that drifts to the goal.
+    """
+
+    def play(key: Key, odds: jax.Array) -> Transition:
+        def act(obs: jax.Array, key: Key) -> jax.Array:
+            return jax.random.categorical(key, jnp.log(odds))
+
+        return rollout(env, act, key, MazeParams(max_steps=steps), JUDGED, num_steps=steps)
+
+    keys = jax.random.split(jax.random.key(2**20), 2)
+    odds = jnp.array([len(MOVES) * [1 / len(MOVES)], DRIFT])
+    played = jax.jit(jax.vmap(play))(keys, odds)
+    return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *leaf.shape[2:]), played)
 
 
 def judge(

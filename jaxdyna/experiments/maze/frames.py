@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from jaxdyna.envs import FrameStack, Maze, MazeParams
-from jaxdyna.experiments.engine import Experiment, Record
+from jaxdyna.experiments.engine import Record
 from jaxdyna.experiments.frames import grids
 from jaxdyna.experiments.frames.options import Training
-from jaxdyna.experiments.frames.report import FrameReport
 from jaxdyna.experiments.report.tables import runs
 from jaxdyna.fields import changed, setting
 
@@ -19,12 +18,12 @@ class MazeFrames(grids.GridOptions):
     """Action-conditional frame prediction in the Maze: the paper's F1 table and Fig. 7."""
 
     channels: ClassVar = (2, 0, 1)
+    dream_from: ClassVar = 10
 
     size: int = setting(16, "cells a side of the maze", at_least=2)
     obstacles: int = setting(5, "how many there are", at_least=0)
     collision_reward: float = setting(-5.0, "earned on a step that ends on an obstacle's cell")
     goal_reward: float = setting(1.0, "earned on a step that ends on the goal")
-    steps: int = setting(200, "steps of an episode", at_least=1, everyday=True)
 
     def world(self) -> tuple[FrameStack, MazeParams]:
         """The maze, and its params."""
@@ -41,23 +40,12 @@ def about(record: Record) -> str:
         "frame out, is trained on the first so many of them, each time from scratch, and judged on "
         f"{options.held_out} new episodes of the same policy: F1 of lit pixels over all steps, the "
         "first ones included, where four equal frames do not tell which way the obstacles will go. "
-        "Spilled beliefs are those above 0.05. A step on the goal with an obstacle on it is a "
-        "collision; a random policy hardly ever sees the goal, in training or here. Dreams begin "
-        f"at step {options.dream_from}. Mean over runs and 95% interval."
+        f"Spilled beliefs are those above {grids.FAINT:g}. A step on the goal with an obstacle on "
+        "it is a collision; a random policy hardly ever sees the goal, in training or here. Dreams "
+        f"begin at step {options.dream_from}. Mean over runs and 95% interval."
     )
 
 
-REPORT = FrameReport(
-    about=about,
-    said=grids.SAID,
-    classes=("agent", "obstacles", "goal"),
-    kinds=("collision", "goal", "neither", "collision in the first step"),
-    paper={"10": (0.83, 0.22, 0.97), "100": (0.92, 0.83, 0.99), "300": (0.98, 0.93, 1.0)},
-    moving="obstacles",
-    prefer=grids.near,
-    dreamers=("paper", "lean"),
-    rules=grids.RULES,
-)
 TUNED = MazeFrames()
 LEAN = changed(TUNED, {"preset": "lean", "arms": ("lean",)})
 FEW = {
@@ -65,13 +53,13 @@ FEW = {
     "lean_widths": (32, 32), "paper": Training(300, 0, 32, 3e-3, 0.2, None),
     "lean": Training(500, 0, 32, 1e-2),
 }  # fmt: skip
-FRAMES = Experiment(
-    name="frames",
-    title="The Maze: predicting frames",
-    presets={"tuned": TUNED, "lean": LEAN},
-    quick={"tuned": FEW | {"arms": ("paper", "paper_l2", "paper_l1", "lean")}, "lean": FEW},
-    arms=grids.arms,
-    describe=(REPORT.describe,),
-    sections=REPORT.sections,
-    summary=REPORT.summary,
+FRAMES = grids.experiment(
+    "The Maze: predicting frames",
+    {"tuned": TUNED, "lean": LEAN},
+    {"tuned": FEW | {"arms": ("paper", "paper_l2", "paper_l1", "lean")}, "lean": FEW},
+    about=about,
+    classes=("agent", "obstacles", "goal"),
+    kinds=("collision", "goal", "neither", "collision in the first step"),
+    paper={"10": (0.83, 0.22, 0.97), "100": (0.92, 0.83, 0.99), "300": (0.98, 0.93, 1.0)},
+    moving="obstacles",
 )

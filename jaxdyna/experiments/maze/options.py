@@ -61,6 +61,10 @@ class MazeOptions(Options):
     model_widths: tuple[int, ...] = setting((32, 32), "channels of the local model's convolutions",
                                             at_least=1)  # fmt: skip
     model_loss: Literal["bce", "l2", "l1"] = setting("bce", "loss of the model's pixels")
+    judged_on: Literal["own", "common"] = setting(
+        "own", "what a model is judged on: each real episode before it is trained on it, or the "
+        "same transitions for all models",
+    )  # fmt: skip
     shown_episodes: int = setting(
         10, "real episodes after the first N in which mpc_init is shown what to do", at_least=1
     )

@@ -38,7 +38,7 @@ from jaxdyna.models import (
 )
 from jaxdyna.networks import ConvolutionalQ, GlimpseQ, PlaceQ, SignedReward
 from jaxdyna.rollout import rollout
-from jaxdyna.types import Agent, Key, Transition
+from jaxdyna.types import Key, Transition
 
 GREEDY_EPISODES = 20
 SAID = study.SAID | {
@@ -60,10 +60,13 @@ SAID = study.SAID | {
 def arms(options: PongOptions) -> dict[str, study.Made]:
     """What makes each arm that can be had of this game."""
     game = game_of(options)
-    agent = replace(study.sized(options.agent, options.dyna), network=network_of(options))
-    reward = {"reward": SignedReward(), "reward_weight": options.reward_weight}
-    blurred, ours = paper_model(options, **reward), our_model(options, options.weight_decay,
-                                                              draws=True)  # fmt: skip
+    agent = study.sized(options.agent, options.dyna)
+    longest = options.dyna.dream_steps or options.steps  # and none ends before
+    agent = replace(agent, network=network_of(options),
+                    fake_episodes=agent.fake_capacity // longest)  # fmt: skip
+    reward: Any = {"reward": SignedReward(), "reward_weight": options.reward_weight}
+    blurred = paper_model(options, **reward)
+    ours = our_model(options, options.weight_decay, draws=True)
     hparams, rate = options.hparams, options.paper_rate
     if options.game == "ale":
         hparams = replace(hparams, env=AtariParams(options.steps))
@@ -74,7 +77,7 @@ def arms(options: PongOptions) -> dict[str, study.Made]:
     seen_through = parts(game, agent, blurred, discriminating(game.frame_shape[0]))
     made = study.standard_arms(
         dyna, options.dyna, hparams, guided(dyna, None) if options.readable else None, hooks,
-        real_only=study.real_steps, busier=agent_of(game, study.busy(agent)),
+        real_only=study.real_steps, busier=parts(game, study.busy(agent), ours).agent,
     )  # fmt: skip
     made |= {
         "dyna_l2": make(l2, options.dyna, theirs),
@@ -97,12 +100,6 @@ def network_of(options: PongOptions) -> Any:
 
 
 @cache
-def agent_of(game: Pong | AtariPong, agent: DQNConfig) -> Agent:
-    """One agent for the same settings."""
-    return dqn(game.frame_shape, game.num_actions, agent)
-
-
-@cache
 def parts(
     game: Pong | AtariPong,
     agent: DQNConfig,
@@ -116,7 +113,7 @@ def parts(
     else:
         other = None if adversary is None else discriminator(shape, adversary)
         learned = pixels(shape, env.num_actions, model, adversary=other)
-    return frame_dyna(env, agent_of(game, agent), learned, points)
+    return frame_dyna(env, dqn(shape, env.num_actions, agent), learned, points)
 
 
 def points(real: Transition, begun: Any, params: Any) -> Metrics:
@@ -134,9 +131,8 @@ def judge(
     """
     key, key_games = jax.random.split(key)
     env: Any = dyna.env
-    kept = {
-        "greedy_return": _greedy(dyna, config, state, key, hparams, GREEDY_EPISODES).reward.sum(-1)
-    }
+    played = _greedy(dyna, config, state, key, hparams, GREEDY_EPISODES)
+    kept = {"greedy_return": played.reward.sum(-1)}
     if isinstance(env.env, AtariPong):
         act = _actor(dyna, state, hparams)
         score, ended = scores(env, act, key_games, env.default_params)

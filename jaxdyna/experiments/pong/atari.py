@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -28,14 +27,12 @@ class Episodes(NamedTuple):
     Attributes:
         game: which.
         steps: of each episode.
-        policies: to learn from, each ``True`` for the mixed one, one after the other.
-        episodes: of each of them.
+        episodes: to learn from.
         held_out: new ones of the mixed policy.
     """
 
     game: AtariPong
     steps: int
-    policies: tuple[bool, ...]
     episodes: int
     held_out: int
 
@@ -62,26 +59,24 @@ def view_in(palette: Palette) -> View:
 
 
 @cache
-def collected(asked: Episodes, seeds: tuple[int, ...], base: int) -> tuple[Played, Played]:
-    """What every run learns from and is judged on, with the axis of runs in front; the same for all
-    models.
+def collected(
+    asked: Episodes, runs: tuple[tuple[int, bool], ...], base: int
+) -> tuple[Played, Played]:
+    """What every run learns from and is judged on, with the axis of runs in front; ``runs`` are
+    their numbers, and whether they learn from the mixed policy. The same for all models.
     """
-    runs = [_of_a_run(asked, jax.random.fold_in(jax.random.key(base), seed)) for seed in seeds]
-    return _joined(runs, np.stack)
+    first = jax.random.key(base)
+    parts = [_of_a_run(asked, mixed, jax.random.fold_in(first, seed)) for seed, mixed in runs]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *parts)
 
 
-def _of_a_run(asked: Episodes, key: Key) -> tuple[Played, Played]:
-    *by_policy, key_new = jax.random.split(key, 3)
-    parts = [
-        collect(asked.game, asked.steps, asked.episodes, mixed, by_policy[mixed])
-        for mixed in asked.policies
-    ]
-    new = collect(asked.game, asked.steps, asked.held_out, True, key_new)
-    return _joined(parts, np.concatenate), new
-
-
-def _joined(parts: Sequence[Any], join: Any) -> Any:
-    return jax.tree.map(lambda *leaves: join(leaves), *parts)
+def _of_a_run(asked: Episodes, mixed: bool, key: Key) -> tuple[Played, Played]:
+    key_random, key_mixed, key_new = jax.random.split(key, 3)
+    key_learn = key_mixed if mixed else key_random
+    return (
+        collect(asked.game, asked.steps, asked.episodes, mixed, key_learn),
+        collect(asked.game, asked.steps, asked.held_out, True, key_new),
+    )
 
 
 def collect(game: AtariPong, steps: int, episodes: int, mixed: bool, key: Key) -> Played:
@@ -97,7 +92,7 @@ def collect(game: AtariPong, steps: int, episodes: int, mixed: bool, key: Key) -
         if over.any():
             raise InputError(f"--steps is {steps}: a game of 21 points ended within it, give fewer")
         parts.append(jax.tree.map(np.asarray, played))
-    return jax.tree.map(lambda leaf: leaf[:episodes], _joined(parts, np.concatenate))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:episodes], *parts)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))

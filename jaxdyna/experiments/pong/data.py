@@ -157,11 +157,10 @@ def take(view: View, played: Played, episode: jax.Array, time: jax.Array) -> Tra
     )
 
 
-def sample(view: View, played: Played, first: Any, count: int, key: Key, size: int) -> Transition:
-    """Transitions ``[size]`` drawn with replacement from ``count`` episodes, the ``first`` (traced)
-    and those after it.
-    """
+def sample(view: View, played: Played, key: Key, size: int) -> Transition:
+    """Transitions ``[size]`` drawn with replacement."""
     key_episode, key_time = jax.random.split(key)
-    episode = first + jax.random.randint(key_episode, (size,), 0, count)
-    time = jax.random.randint(key_time, (size,), 0, played.action.shape[1])
+    episodes, steps = played.action.shape
+    episode = jax.random.randint(key_episode, (size,), 0, episodes)
+    time = jax.random.randint(key_time, (size,), 0, steps)
     return take(view, played, episode, time)

@@ -13,14 +13,14 @@ import numpy as np
 
 from jaxdyna.envs import AtariPong, PongParams
 from jaxdyna.envs.pong_screen import mixture_of, shares_of
-from jaxdyna.experiments.engine import Arm, Experiment, Record, Work
+from jaxdyna.experiments.engine import Arm, Experiment, Record, Runs, Work
 from jaxdyna.experiments.frames.options import FrameOptions, Training, without_stages
 from jaxdyna.experiments.frames.report import FrameReport
 from jaxdyna.experiments.frames.training import frame_work, stages
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
 from jaxdyna.experiments.pong import atari
 from jaxdyna.experiments.pong.colours import in_channels, in_colours
-from jaxdyna.experiments.pong.data import Played, play, sample, take, view_of
+from jaxdyna.experiments.pong.data import Played, View, play, sample, take, view_of
 from jaxdyna.experiments.pong.world import (
     COLOURS_SAID,
     GAMES_SAID,
@@ -37,7 +37,8 @@ from jaxdyna.experiments.pong.world import (
 )
 from jaxdyna.experiments.report import frames as pictures
 from jaxdyna.experiments.report import sections as report
-from jaxdyna.experiments.report.tables import markdown_table, runs
+from jaxdyna.experiments.report.tables import markdown_table
+from jaxdyna.experiments.report.tables import runs as counted
 from jaxdyna.fields import SettingError, changed, setting
 from jaxdyna.losses import bce, l1, l2
 from jaxdyna.models import (
@@ -114,7 +115,7 @@ class PongFrames(GameOptions, FrameOptions):
 def arms(options: PongFrames) -> dict[str, Callable[[], Arm]]:
     """Every model, trained on the episodes of each policy."""
     program = without_stages(options, ("paper", "ours"))
-    parts = {
+    parts: dict[str, tuple[int, int]] = {
         policy: (POLICIES.index(policy), options.episodes)
         for policy in dict.fromkeys(options.policies)
     }
@@ -129,15 +130,13 @@ def arms(options: PongFrames) -> dict[str, Callable[[], Arm]]:
 def work(options: PongFrames, arm: str) -> Work:
     """A model's training: one object, and so one program, for the same settings."""
     training = options.ours if arm == "ours" else options.paper
-    rates: Callable[[Any], Any] = PixelHParams
-    if arm == "adversarial":
-        rates = partial(_adversarial, options.adversarial_weight)
     world = real_world(options) if options.game == "ale" else pure_world(options)
+
+    def adversarial(rate: Any) -> AdversarialHParams:
+        return AdversarialHParams(rate, options.adversarial_weight, rate)
+
+    rates: Any = adversarial if arm == "adversarial" else PixelHParams
     return frame_work(world, *model_of(options, arm), training.batch, options.block, rates)
-
-
-def _adversarial(weight: float, rate: Any) -> AdversarialHParams:
-    return AdversarialHParams(rate, weight, rate)
 
 
 def model_of(options: PongFrames, arm: str) -> tuple[DynamicsModel, Asked]:
@@ -156,27 +155,25 @@ def model_of(options: PongFrames, arm: str) -> tuple[DynamicsModel, Asked]:
             return mixture_of(believe(*args), palette) / 255
 
         return model, Asked(believe, (("lit", model.predict),), 0.5, picture=expect)
-    loss, more = {"l1": l1, "bce": bce}.get(arm, l2), {}
-    if arm == "bce" and options.frames == "objects":
-        more = {"threshold": 0.2, "shades": False}
-    config = paper_model(options, options.paper.weight_decay, loss=loss, **more)
+    lit = arm == "bce" and options.frames == "objects"
+    more: Any = {"threshold": 0.2, "shades": False} if lit else {}
+    loss = {"l1": l1, "bce": bce}.get(arm, l2)
+    config = paper_model(options, options.paper.weight_decay, loss, **more)
     judge = discriminator(shape, discriminating(shape[0])) if arm == "adversarial" else None
-    model, frame = (
-        pixels(shape, actions, config, adversary=judge),
-        frame_probability(actions, config),
-    )
+    model = pixels(shape, actions, config, adversary=judge)
+    frame = frame_probability(actions, config)
 
     def seen(*args: Any) -> jax.Array:
         return shares_of(255 * frame(*args), palette)
 
-    bar = 0.5 if config.threshold is None else config.threshold
-    return model, Asked(seen, (("lit", model.predict),), bar, picture=frame)
+    return model, Asked(seen, (("lit", model.predict),), config.threshold or 0.5, picture=frame)
 
 
 @cache
 def pure_world(options: PongFrames) -> World:
     """The pure game's episodes. A key gives every arm the same ones."""
-    game, params = game_of(options), params_of(options, PongParams())
+    game: Any = game_of(options)
+    params = params_of(options, PongParams())
 
     def data(key: Key, _: Key, stage: Stage) -> tuple[Played, Played]:
         keys, steps = jax.random.split(key, 3), options.steps
@@ -184,34 +181,28 @@ def pure_world(options: PongFrames) -> World:
         learned = play(game, params, steps, options.episodes, mixed, keys[stage.part])
         return learned, play(game, params, steps, options.held_out, True, keys[2])
 
-    return _world(options, view_of(game), lambda stage: 0)._replace(data=data)
+    return _world(options, view_of(game))._replace(data=data)
 
 
 @cache
 def real_world(options: PongFrames) -> World:
     """The real game's episodes, which a host collects once for all arms."""
-    asked = tuple(dict.fromkeys(options.policies))
-    place = np.array([asked.index(policy) if policy in asked else 0 for policy in POLICIES])
-    episodes = atari.Episodes(
-        AtariPong(options.frame_skip, options.scale), options.steps,
-        tuple(policy == "mixed" for policy in asked), options.episodes, options.held_out,
-    )  # fmt: skip
+    game = AtariPong(options.frame_skip, options.scale)
+    episodes = atari.Episodes(game, options.steps, options.episodes, options.held_out)
 
-    def collect(seeds: np.ndarray, base: int) -> tuple[Played, Played]:
-        return atari.collected(episodes, tuple(map(int, seeds)), base)
+    def collect(runs: Runs) -> tuple[Played, Played]:
+        mixed = runs.hparams.part == POLICIES.index("mixed")
+        each = zip(runs.seed.tolist(), mixed.tolist(), strict=True)
+        return atari.collected(episodes, tuple(each), runs.base)
 
-    def first(stage: Stage) -> jax.Array:
-        return jnp.asarray(place)[stage.part] * options.episodes
-
-    view = atari.view_in(PALETTES[options.frames])
-    return _world(options, view, first)._replace(collect=collect)
+    return _world(options, atari.view_in(PALETTES[options.frames]))._replace(collect=collect)
 
 
-def _world(options: PongFrames, view: Any, first: Callable[[Stage], Any]) -> World:
-    """The parts that both games share; ``first`` is the number of the first episode of a stage."""
+def _world(options: PongFrames, view: View) -> World:
+    """The parts that both games share."""
 
     def draw(data: Any, key: Key, stage: Stage, size: int) -> Transition:
-        return sample(view, data[0], first(stage), options.episodes, key, size)
+        return sample(view, data[0], key, size)
 
     def look(data: Any, episode: Any, times: jax.Array) -> Transition:
         return take(view, data[1], jnp.full(times.shape, episode), times)
@@ -284,7 +275,7 @@ def about(record: Record) -> str:
         "from them is where each colour is."
     )
     return (
-        f"{runs(options.seeds)} of {GAMES_SAID[options.game]}{game} Frames of {height}x{width}, "
+        f"{counted(options.seeds)} of {GAMES_SAID[options.game]}{game} Frames of {height}x{width}, "
         f"{SEEN_SAID[options.frames]}. A model, four frames and the action in, the next frame out, "
         f"is trained on {options.episodes} episodes of {options.steps} steps of one policy. The "
         "mixed one is of players that follow the ball with a share of their actions that is drawn "
@@ -305,17 +296,15 @@ REPORT = FrameReport(
 
 def blur(record: Record) -> str:
     """How sharp the beliefs are, and Fig. 9 by policy."""
-    at: dict[str, dict[str, str]] = {}
-    for arm, names in REPORT.models(record).items():
-        for policy, name in names.items():
-            at.setdefault(policy, {})[arm] = name
-    main = REPORT.compared(record)[0]
+    models, main = REPORT.models(record), REPORT.compared(record)[0]
     drawn = [
-        REPORT.grid(record, "fig9.png" if policy == main else f"fig9_{policy}.png", names,
-                    f"Fig. 9 after the {policy} policy: input, truth, belief and error of a step")
-        for policy, names in sorted(at.items(), key=lambda item: item[0] != main)
+        REPORT.grid(
+            record, "fig9.png" if policy == main else f"fig9_{policy}.png",
+            {arm: stages[policy] for arm, stages in models.items() if policy in stages},
+            f"Fig. 9 after the {policy} policy: input, truth, belief and error of a step",
+        )
+        for policy in dict.fromkeys([main, *(policy for arm in models.values() for policy in arm)])
     ]  # fmt: skip
-    black = "Errors are differences of colours, on black."
     return report.paragraphs(
         "## Blur",
         "Believed: how sure the model is of a pixel that shows the object, 1 at best. Spilled: "
@@ -323,7 +312,7 @@ def blur(record: Record) -> str:
         "best.",
         markdown_table(*REPORT.score_table(record, ("believed", "spilled"))),
         *drawn,
-        COLOURS_SAID if record.options.frames == "objects" else black,
+        COLOURS_SAID if record.options.frames == "objects" else "Errors are on black.",
     )
 
 

@@ -53,12 +53,11 @@ def about(record: Any) -> str:
 
 def in_steps(record: Any) -> str:
     """The ratios once more, in the real steps before the solving window, of the arms that solve."""
-    arms = record.results["arms"]
-    solving = {
-        name: arm
-        for name, arm in arms.items()
-        if name == "model_free" or arm["real_steps_to_solve"]["mean"] is not None
-    }
+    solving = {}
+    for name, arm in record.results["arms"].items():
+        steps = arm["real_steps_to_solve"]
+        if steps["mean"] or (name == "model_free" and steps["restricted_mean"]):
+            solving[name] = arm
     return report.paragraphs(*comparisons({"arms": solving}, {}, "real_steps_to_solve"))
 
 

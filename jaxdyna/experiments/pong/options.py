@@ -30,6 +30,7 @@ class PongOptions(GameOptions):
         "dyna.num_episodes": "--episodes",
         "dyna.num_steps": "--steps",
         "agent.network": "--look",
+        "agent.fake_episodes": "--agent.fake-capacity",
         "hparams.env.max_steps": "--steps",
         "hparams.env.points_to_win": "--steps",
         "hparams.env.first_serve_delay": "--serve-delay",

@@ -120,7 +120,7 @@ def draw_seeds(panel: Axes, values: np.ndarray, colour: str, window: int) -> Non
 
     Args:
         panel: where to draw.
-        values: ``[seeds, episodes]``, NaN after a run's own end: in the mean it keeps its last value.
+        values: ``[seeds, episodes]``, NaN after a run's own end; the mean keeps its last value.
         colour: of the arm.
         window: of the running mean, in episodes.
     """

@@ -62,7 +62,7 @@ def learning_curves(
     what: str = "return", window: int | None = None, arms: Sequence[str] = (),
     real_first: Callable[[Any], int] = lambda options: options.dyna.num_real_first,
 ) -> Section:  # fmt: skip
-    """Real return against real episodes, a panel an arm, and the share of the runs that have solved."""
+    """Real return against real episodes, a panel an arm, and the share of runs that have solved."""
 
     def section(record: Any) -> str:
         solves, shown = rule(record.options), drawn(record, arms)

@@ -17,7 +17,7 @@ def settings_table(options: Any) -> Table:
     rows = [
         [f"`{leaf.path}`", _said(leaf.value), leaf.help]
         for leaf in fields.leaves(options)
-        if leaf.path not in NOT_SHOWN
+        if leaf.path not in (*NOT_SHOWN, *options.decided)
         and (leaf.everyday or (leaf.path in declared and declared[leaf.path] != leaf.value))
     ]
     return ["setting", "value", "what it is"], rows

@@ -30,8 +30,8 @@ def describe_arm(curves: Curves, rule: SolveRule, budget: int) -> Results:
     """The figures of one arm.
 
     Args:
-        curves: ``real_return`` and ``real_length``, ``[runs, episodes]``, NaN after a run's own end,
-            and others.
+        curves: ``real_return`` and ``real_length``, ``[runs, episodes]``, NaN after a run's own
+            end, and others.
         rule: when a run counts as solved.
         budget: real episodes of a run at the most.
     """
@@ -55,8 +55,8 @@ def describe_arm(curves: Curves, rule: SolveRule, budget: int) -> Results:
 
 
 def last_mean(values: np.ndarray, window: int) -> np.ndarray:
-    """The mean of each run's own last entries, ``[runs]``, of ``[runs, episodes]`` that are NaN after
-    a run's end.
+    """The mean of each run's own last entries, ``[runs]``, of ``[runs, episodes]`` that are NaN
+    after a run's end.
     """
     ends = np.isfinite(values).sum(-1)
     numbers = np.arange(values.shape[-1])
@@ -86,8 +86,8 @@ def _first_at(returns: np.ndarray, threshold: float) -> np.ndarray:
 
 
 def first_dreams(curves: Curves, real_first: int) -> Results:
-    """Medians of fake and real return and length over runs and the `FIRST_DREAMS` episodes from real
-    episode ``real_first``; empty for an arm without dreams, NaN where none took place.
+    """Medians of fake and real return and length over runs and the `FIRST_DREAMS` episodes from
+    real episode ``real_first``; empty for an arm without dreams, NaN where none took place.
     """
     if "fake_length" not in curves:
         return {}

@@ -99,8 +99,8 @@ def standard_arms(
         busier: the agent with the updates after dreams made after real episodes.
     """
     make = partial(partial, dyna_arm, hooks=hooks)
-    never = {"model_trains": False, "disagreement_threshold": math.inf}
-    dreaming = replace(hparams, **never | dict(untrained or {}))
+    never: dict[str, Any] = {"model_trains": False, "disagreement_threshold": math.inf}
+    dreaming = replace(hparams, **(never | dict(untrained or {})))
     alone = dyna._replace(model=None, dream=None, diagnose=None)
     arms: dict[str, Made] = {
         "model_free": make(alone, config, hparams),

@@ -61,8 +61,8 @@ class ReplayedParams:
 
 @dataclass(frozen=True)
 class Replayed:
-    """The true environment, its episodes beginning at any real stack of frames instead of the start:
-    the world of the oracle's dreams.
+    """The true environment, its episodes beginning at any real stack of frames instead of the
+    start: the world of the oracle's dreams.
 
     Attributes:
         real: the environment, its frames stacked.

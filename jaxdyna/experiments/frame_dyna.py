@@ -1,1 +1,0 @@
-from jaxdyna.experiments.study.frames import *  # noqa: D100, F403

@@ -1,0 +1,129 @@
+"""``python -m jaxdyna.experiments.merge DIR... --out DIR``: one record of a run's shards."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from jaxdyna.experiments.engine import Curves, Experiment, Record, Results, cli, storage
+from jaxdyna.experiments.engine.experiment import entries
+from jaxdyna.experiments.engine.session import different, recorded, results_of, write_report
+from jaxdyna.experiments.engine.work import SHOWN, joined
+from jaxdyna.fields import setting
+
+PROG = "python -m jaxdyna.experiments.merge"
+ALIKE = ("experiment", "part", "preset", "sweep", "source")
+Shards = Mapping[Path, Results]
+
+
+@dataclass(frozen=True)
+class Call:
+    """Makes one record of the folders that --shard 1/N to N/N left."""
+
+    folders: tyro.conf.Positional[tuple[Path, ...]] = setting(help="of the shards")
+    out: Path = setting(help="folder for the record")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Merges, and returns the exit code.
+
+    Args:
+        argv: the arguments, by default the process's.
+
+    Raises:
+        SystemExit: with code 2 and one line where the folders are not those of one run.
+    """
+    argv = list(sys.argv[1:] if argv is None else argv)
+    if not argv or {"-h", "--help"} & set(argv):
+        print(f"usage: {PROG} DIR... --out DIR\n\n{Call.__doc__}")
+        return 0
+    call = cli.read(Call, argv, PROG)
+    try:
+        shards = {folder: storage.read_json(folder / "results.json") for folder in call.folders}
+        _check(shards, call.out)
+        experiment, record = _merged(shards, f"{PROG} {shlex.join(argv)}", call.out)
+        storage.check_writable(call.out)
+    except ValueError as error:
+        cli.fail(str(error), PROG)
+    storage.set_aside(call.out)
+    storage.write_curves(call.out / "curves.npz", record.curves)
+    storage.write_json(call.out / "results.json", record.results)
+    write_report(experiment, record)
+    print(f"Report: {call.out / 'report.md'}")
+    return 0
+
+
+def _check(shards: Mapping[Path, Results | None], out: Path) -> None:
+    """Raises ValueError unless these are the shards of one run, all of them and finished."""
+    where: dict[int, Path] = {}
+    first, one = next(iter(shards.items()))
+    for folder, results in shards.items():
+        if results is None or one is None or "runs" not in results:
+            raise ValueError(f"{folder} has no results of a shard")
+        if (folder / "checkpoints").exists():
+            raise ValueError(f"{folder} is not finished: play it on with --resume")
+        if folder.resolve() == out.resolve():
+            raise ValueError(f"--out {out} is one of the shards: choose another folder")
+        for name in ALIKE:
+            if results[name] != one[name]:
+                raise ValueError(f"{folder} has another {name} than {first}")
+        before, now = ({**said["config"], "arms": None} for said in (one, results))
+        if paths := different(before, now):
+            flags = ", ".join(f"--{path.replace('_', '-')}" for path in paths)
+            raise ValueError(f"{folder} has other settings than {first} for {flags}")
+        if lacking := one["arms"].keys() ^ results["arms"].keys():
+            raise ValueError(f"{', '.join(sorted(lacking))}: not in both {first} and {folder}")
+        for seed in results["runs"]["seeds"]:
+            if seed in where:
+                raise ValueError(f"seed {seed} is in both {where[seed]} and {folder}")
+            where[seed] = folder
+    if one and (missing := sorted(set(range(one["runs"]["of"])) - where.keys())):
+        raise ValueError(f"no shard has the seeds {', '.join(map(str, missing))}: give them all")
+
+
+def _merged(shards: Shards, command: str, out: Path) -> tuple[Experiment, Record]:
+    """The record of all shards together, and the experiment whose it is."""
+    shards = dict(sorted(shards.items(), key=lambda shard: min(shard[1]["runs"]["seeds"])))
+    first, *_ = every = list(shards.values())
+    experiment, options, sweep = recorded(first)
+    spent = {
+        name: {part: sum(one["timing"]["arms"][name][part] for one in every) for part in seconds}
+        for name, seconds in first["timing"]["arms"].items()
+    }
+    total_s = sum(one["timing"]["total_s"] for one in every)
+    peaks = [peak for one in every if (peak := one["device"]["peak_memory_gib"]) is not None]
+    kept = ("experiment", "part", "versions", "commit", "source", "sweep", *experiment.measures)
+    about = {name: first[name] for name in kept} | {
+        "command": " && ".join([*(one["command"] for one in every), command]),
+        "device": first["device"] | {"peak_memory_gib": max(peaks, default=None)},
+        "runs": first["runs"] | {"seeds": list(range(first["runs"]["of"])), "shard": [1, 1]},
+        "timing": {"arms": spent, "total_s": total_s, "shards": len(every)},
+    }
+    setups = {entry.name: entry.options for entry in entries(experiment, options, sweep)}
+    curves = _together(shards, list(first["arms"]))
+    results = results_of(experiment, options, setups, curves, about)
+    return experiment, Record(options, results, curves, out)
+
+
+def _together(shards: Shards, arms: Sequence[str]) -> dict[str, Curves]:
+    """The curves of all shards by arm, run by run in the order of the seeds."""
+    runs: dict[str, dict[int, Curves]] = {arm: {} for arm in arms}
+    for folder, results in shards.items():
+        curves = storage.read_curves(folder / "curves.npz")
+        for row, seed in enumerate(results["runs"]["seeds"]):
+            for arm in arms:
+                runs[arm][seed] = {
+                    name: values if name.startswith(SHOWN) else values[row]
+                    for name, values in curves[arm].items()
+                    if seed == 0 or not name.startswith(SHOWN)
+                }
+    return {arm: joined([own[seed] for seed in sorted(own)]) for arm, own in runs.items()}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

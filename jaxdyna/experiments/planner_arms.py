@@ -1,1 +1,0 @@
-from jaxdyna.experiments.study.planners import *  # noqa: F403

@@ -1,3 +1,0 @@
-"""Moved: see `jaxdyna.experiments.report.plots`."""
-
-from jaxdyna.experiments.report.plots import *  # noqa: F403

@@ -1,0 +1,340 @@
+"""A run's numbers do not depend on who is computed beside it: alone, in any company, at any place,
+interrupted or not, it is the same run bit for bit.
+"""
+
+import threading
+from functools import partial
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from parts import DYNA, SMALL, hparams
+
+from jaxdyna.conditional import where_needed
+from jaxdyna.experiments.engine import Arm, Engine, InputError, Work, checkpoint, runs_of, work
+from jaxdyna.experiments.engine.checkpoint import Store
+from jaxdyna.experiments.engine.work import Interrupted, joined
+from jaxdyna.experiments.study.arms import Hooks, dyna_arm
+from jaxdyna.sweep import RUNS
+
+PIECE, UNITS = 4, 11
+SEEDS = range(5)
+RATES = (0.3, 0.7)
+
+
+def init(key, hparams):
+    key, key_weights = jax.random.split(key)
+    weights = jax.random.normal(key_weights, (3, 3))
+    return {"weights": weights, "same": weights, "total": 0.0, "key": key}
+
+
+def step(state, data, unit, hparams, axes=(RUNS,)):
+    """A unit of which some runs need a part and others do not."""
+    key, key_noise, key_rare = jax.random.split(state["key"], 3)
+    noise = jax.random.normal(key_noise, (3,))
+    weights = jnp.tanh(state["weights"] + hparams["rate"] * jnp.outer(noise, data["input"]))
+
+    def rare():
+        change = jax.random.normal(key_rare, (3, 3)) @ weights
+        return jnp.sin(change), {"rare": change.sum()}
+
+    needed = (noise[0] > 0) & hparams["busy"]
+    weights, metrics = where_needed(unit >= 2, needed, axes, rare, weights)
+    total = state["total"] + jnp.abs(noise).sum()
+    new = {"weights": weights, "same": state["same"], "total": total, "key": key}
+    return new, {"total": total, "show_weights": weights, "unit": unit * 1.0} | metrics
+
+
+def data(key, hparams):
+    return {"input": jax.random.normal(jax.random.fold_in(key, 5), (3,)) * hparams["rate"]}
+
+
+def collect(runs):
+    drawn = [np.random.default_rng([runs.base, seed]).normal(size=3) for seed in runs.seed]
+    return {"input": np.stack(drawn).astype(np.float32)}
+
+
+def judge(state, data, key, hparams):
+    drawn = jax.random.normal(key, (2,)) * hparams["rate"]
+    return {"judged": drawn @ state["weights"][:2] + data["input"], "scalar": state["total"]}
+
+
+def show(state, data, key, hparams):
+    return {"film": jax.random.normal(key, (5,)) + state["weights"][0, 0]}
+
+
+def making(block, **changes):
+    parts = {"init": init, "step": step, "data": data, "judge": judge, "show": show}
+    return Work(**parts | {"piece": PIECE, "block": block} | changes)
+
+
+def arm(played, rate=RATES[0], units=UNITS, busy=True):
+    return Arm(played, {"rate": rate, "busy": busy}, units)
+
+
+def over(curves):
+    """Depends on a run's own numbers alone."""
+    return curves["total"].max(1) > 15
+
+
+def play(engine, arms, seeds=SEEDS, over=None, base=0, **rest):
+    """What each run came to, by (arm's number, seed)."""
+    runs = runs_of(arms, list(seeds), base)
+    played = engine.play(arms[0].work, runs, over, **rest)
+    names = [(number, seed) for number in range(len(arms)) for seed in seeds]
+    return dict(zip(names, played.curves, strict=True))
+
+
+def assert_same_run(ours, theirs):
+    assert ours.keys() == theirs.keys()
+    for name in ours:
+        assert ours[name].dtype == theirs[name].dtype
+        np.testing.assert_array_equal(ours[name], theirs[name], err_msg=name)
+
+
+def assert_same_runs(ours, theirs):
+    """Those that both have."""
+    both = [name for name in ours if name in theirs]
+    assert both
+    for name in both:
+        assert_same_run(ours[name], theirs[name])
+
+
+@pytest.mark.parametrize("until", [None, over], ids=["to the end", "until over"])
+@pytest.mark.parametrize("block", [1, 2, 5])
+def test_a_run_is_the_same_in_any_company(block, until):
+    played = making(block)
+    engine = Engine(workers=1)
+    arms = [arm(played), arm(played, RATES[1]), arm(played, units=6), arm(played, busy=False)]
+    alone = {
+        (number, seed): play(engine, [one], [seed], until)[0, seed]
+        for number, one in enumerate(arms)
+        for seed in SEEDS
+    }
+    at_once = Engine(workers=4, programs=engine.programs)
+    ends = {len(run["total"]) for run in alone.values()}
+    assert ends == ({6, 8, UNITS} if until else {6, UNITS})
+    for by in (engine, at_once):
+        assert_same_runs(play(by, arms, SEEDS, until), alone)  # a sweep, its units differing
+        assert_same_runs(play(by, arms[:1], SEEDS[::-1], until), alone)
+        for shard in (SEEDS[1::2], SEEDS[2::2]):
+            assert_same_runs(play(by, arms[:2], shard, until), alone)
+    for place in range(block):  # every place in a block
+        others = [seed for seed in SEEDS if seed != 3]
+        seeds = [*others[:place], 3, *others[place:]]
+        assert_same_runs(play(at_once, arms[:1], seeds, until), alone)
+    assert len(engine.programs) == 1
+
+
+def test_a_run_is_the_same_on_every_device(monkeypatch):
+    played = making(2)
+    alone = play(Engine(workers=1), [arm(played)])
+    monkeypatch.setattr(work, "places", lambda workers: jax.devices()[:2])
+    engine = Engine()
+    assert_same_runs(play(engine, [arm(played)]), alone)
+    assert len({place for _, _, place in engine.programs}) == 2
+
+
+def test_seeds_and_base_seeds_are_different_runs():
+    played = making(2)
+    engine = Engine()
+    runs = [*play(engine, [arm(played)]).values(), *play(engine, [arm(played)], base=9).values()]
+    assert len({run["total"].tobytes() for run in runs}) == 2 * len(SEEDS)
+    assert len({run["judged"].tobytes() for run in runs}) == 2 * len(SEEDS)
+
+
+def test_what_the_host_collects_goes_to_its_own_run():
+    asked = []
+
+    def told(runs):
+        asked.append(list(runs.seed))
+        return collect(runs)
+
+    played = making(2, data=None, collect=told)
+    engine = Engine(workers=2)
+    whole = play(engine, [arm(played)])
+    assert asked == [list(SEEDS)]
+    assert_same_runs(play(engine, [arm(played)], SEEDS[::-1]), whole)
+    assert_same_runs(play(engine, [arm(played, RATES[1]), arm(played)], [4]), {(1, 4): whole[0, 4]})
+
+
+def test_the_first_run_alone_is_shown():
+    runs = play(Engine(), [arm(making(2)), arm(making(2), RATES[1])], [2, 0])
+    for (_, seed), run in runs.items():
+        assert ("show_film" in run) == ("show_weights" in run) == (seed == 0)
+    assert runs[0, 0]["show_weights"].shape == (UNITS, 3, 3)
+    assert runs[0, 0]["judged"].shape == (3,) and runs[0, 0]["scalar"].shape == ()
+
+
+def test_runs_are_looked_at_after_whole_pieces_and_at_their_own_ends_only():
+    looked = []
+
+    def told(curves):
+        looked.append(curves["total"].shape[1])
+        return curves["unit"][:, -1] >= 5
+
+    played = making(3)
+    runs = play(Engine(workers=1), [arm(played, units=units) for units in (3, 6, 11)], [0, 1], told)
+    assert set(looked) == {4, 8}
+    ends = {number: len(run["total"]) for (number, _), run in runs.items()}
+    assert ends == {0: 3, 1: 6, 2: 8}
+
+
+def test_curves_are_nan_after_a_runs_own_end():
+    played = making(3)
+    runs = play(Engine(), [arm(played, units=units) for units in (3, 6, 8)], [0])
+    curves = joined(list(runs.values()))
+    assert curves["total"].shape == (3, 8) and curves["total"].dtype == np.float32
+    assert np.isfinite(curves["total"]).sum(1).tolist() == [3, 6, 8]
+    for row, run in zip(curves["total"], runs.values(), strict=True):
+        np.testing.assert_array_equal(row[: len(run["total"])], run["total"])
+    assert curves["scalar"].shape == (3,) and curves["judged"].shape == (3, 3)
+    np.testing.assert_array_equal(curves["show_film"], runs[0, 0]["show_film"])
+
+
+def test_arms_of_one_work_and_their_settings_are_one_program():
+    chex.clear_trace_counter()
+    once = chex.assert_max_traces(n=1)
+    played = making(2, init=once(init), step=once(step), data=once(data), judge=once(judge))
+    engine = Engine(workers=2)
+    for one in (arm(played), arm(played, RATES[1]), arm(played, units=5)):
+        play(engine, [one])
+    play(engine, [arm(played, rate) for rate in (0.1, 0.2, 0.4)], SEEDS[:3], over)
+    assert len(engine.programs) == 1
+
+
+def stopping_after(engine, pieces, over=lambda curves: np.zeros(99, bool)):
+    """Ctrl-C after so many whole pieces, of whichever blocks."""
+    count = iter(range(1, 10_000))
+
+    def looked(curves):
+        if next(count) >= pieces:
+            engine.interrupted.set()
+        return over(curves)
+
+    return looked
+
+
+@pytest.mark.parametrize("block", [1, 3])
+def test_interrupted_anywhere_and_resumed_is_uninterrupted(block, tmp_path):
+    """Runs that are over are in the blocks too."""
+    played = making(block)
+    arms = [arm(played, units=units) for units in (3, 17, 9)]
+    engine = Engine(workers=2)
+    whole = play(engine, arms, SEEDS[:4], over)
+    random = np.random.default_rng(block)
+    for trial in range(3):
+        store, times = Store(tmp_path / str(trial)), 0
+        while True:
+            again = Engine(workers=2, programs=engine.programs)
+            until = stopping_after(again, random.integers(1, 4), over)
+            try:
+                runs = play(again, arms, SEEDS[:4], until, store=store)
+                break
+            except Interrupted:
+                times += 1
+        assert times > 0
+        assert_same_runs(runs, whole)
+
+
+def test_a_crash_costs_no_more_than_what_came_after_the_last_checkpoint(tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoint, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(checkpoint, "CHECKPOINT_SHARE", 1e9)
+    played = making(3)
+    engine = Engine(workers=1)
+    whole = play(engine, [arm(played, units=23)])
+    store, pieces = Store(tmp_path), []
+
+    def crash(stage, done, over):
+        pieces.append(done)
+        if len(pieces) % 3 == 0:
+            raise RuntimeError("crash")
+
+    for _ in range(3):
+        with pytest.raises(RuntimeError):
+            play(engine, [arm(played, units=23)], store=store, say=crash)
+    assert_same_runs(play(engine, [arm(played, units=23)], store=store), whole)
+    assert_same_runs(play(engine, [arm(played, units=23)], store=store), whole)  # all are over
+
+
+@pytest.mark.parametrize(
+    ("changes", "leaf"),
+    [
+        ({"more": jnp.zeros(2)}, "state['more'] was not there and is float32[2, 2]"),
+        ({"total": jnp.zeros(3)}, "state['total'] was float32[2] and is float32[2, 3]"),
+        ({"total": jnp.int32(0)}, "state['total'] was float32[2] and is int32[2]"),
+        ({"same": None}, "state['same'] was float32[2, 3, 3] and is not there"),
+    ],
+)
+def test_a_checkpoint_of_another_structure_is_refused(changes, leaf, tmp_path):
+    engine, store = Engine(workers=1), Store(tmp_path)
+    with pytest.raises(Interrupted):
+        play(engine, [arm(making(2))], over=stopping_after(engine, 1), store=store)
+
+    def other(key, hparams):
+        return init(key, hparams) | changes
+
+    def still(state, data, unit, hparams):
+        return state, {"total": jnp.float32(0)}
+
+    with pytest.raises(InputError) as error:
+        play(Engine(), [arm(making(2, init=other, step=still))], store=store)
+    assert leaf in str(error.value) and "\n" not in str(error.value)
+
+
+def test_an_exception_in_a_block_stops_the_others_and_is_raised():
+    told = []
+
+    def fail(stage, done, over):
+        told.append((stage, threading.current_thread()))
+        if stage == "running":
+            raise ZeroDivisionError
+
+    played = making(1)
+    engine = Engine(workers=1)
+    with pytest.raises(ZeroDivisionError):
+        play(engine, [arm(played)], say=fail)
+    assert [stage for stage, _ in told] == ["compiling", "running"]
+    with pytest.raises(ZeroDivisionError):
+        play(Engine(workers=2, programs=engine.programs), [arm(played)], say=fail)
+    assert [stage for stage, _ in told].count("running") <= 3
+    assert_same_runs(play(engine, [arm(played)]), play(engine, [arm(played)]))  # it goes on
+
+
+def test_what_the_rule_raises_is_raised():
+    def broken(curves):
+        raise KeyError("real_return")
+
+    with pytest.raises(KeyError):
+        play(Engine(), [arm(making(2))], over=broken)
+
+
+def test_dyna_is_the_same_in_any_company(tmp_path):
+    """REINFORCE with dreams: swept, in a shard, interrupted."""
+
+    def score(dyna, config, state, key, hparams):
+        return {"drawn": jax.random.uniform(key) + jax.tree.leaves(state.agent)[0].mean()}
+
+    def film(dyna, config, state, key, hparams):
+        return {"film": jax.random.uniform(key, (3,))}
+
+    hooks = Hooks(score, film, piece=2, block=2)
+    make = partial(dyna_arm, DYNA, SMALL, hooks=hooks)
+    arms = [make(hparams()), make(hparams(fake_weight=0.0)), make(hparams(real_weight=0.5))]
+    assert arms[0].work is arms[1].work
+    engine = Engine(workers=1)
+    alone = {
+        (number, seed): play(engine, [one], [seed])[0, seed]
+        for number, one in enumerate(arms)
+        for seed in (0, 1, 2)
+    }
+    assert len({run["drawn"].tobytes() for run in alone.values()}) == len(alone)
+    assert_same_runs(play(engine, arms, [0, 1, 2]), alone)
+    assert_same_runs(play(engine, arms, [2, 0]), alone)
+    stopped = Engine(workers=1, programs=engine.programs)
+    with pytest.raises(Interrupted):
+        play(stopped, arms, [0, 1, 2], stopping_after(stopped, 3), store=Store(tmp_path))
+    assert_same_runs(play(engine, arms, [0, 1, 2], store=Store(tmp_path)), alone)
+    assert len(engine.programs) == 1
