@@ -1,4 +1,4 @@
-"""Imports point one way, and files and functions stay small enough to read."""
+"""Imports point one way, inside the experiments too."""
 
 import ast
 from pathlib import Path
@@ -18,6 +18,16 @@ FLOORS = {
     "statistics": 6,
     "experiments": 7,
 }
+EXPERIMENTS = PACKAGE / "experiments"
+ROOMS = sorted(EXPERIMENTS.rglob("*.py"))
+STOREYS = {
+    "report": 0,
+    "engine": 1,
+    **dict.fromkeys(["study", "frames"], 2),
+    **dict.fromkeys(["cartpole", "maze", "pong", "catch"], 3),
+    **dict.fromkeys(["planning", "benchmark", "merge"], 4),
+}
+"""The reports below the engine: it writes them, they read its records as they come."""
 
 
 def part_of(module: str) -> str:
@@ -48,15 +58,18 @@ def test_imports_point_down(path):
             assert here == "networks" or module == "flax.struct", f"{here}: {module}"
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_readable_in_one_sitting(path):
-    text = path.read_text()
-    assert len(text.splitlines()) <= 260
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.FunctionDef):
-            start = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]
-            length = node.end_lineno - start.lineno + 1
-            limit = (
-                100 if node.name in ("supervised", "pixels", "reinforce", "dqn") else 50
-            )  # bundles of functions
-            assert length <= limit, f"{node.name} has {length} lines"
+@pytest.mark.parametrize("path", ROOMS, ids=lambda path: str(path.relative_to(EXPERIMENTS)))
+def test_rooms_of_experiments_stand_on_each_other(path):
+    """Worlds never import each other; the engine and the reports know no world."""
+    here = path.relative_to(EXPERIMENTS).with_suffix("").parts[0]
+    if here == "__init__":
+        return
+    for module in imports(path):
+        there = module.split(".")[2:3] if module.startswith("jaxdyna.experiments.") else []
+        for room in there:
+            assert room == here or STOREYS[room] < STOREYS[here], f"{here} imports {module}"
+
+
+def test_folders_stay_easy_to_see():
+    for folder in {path.parent for path in ROOMS}:
+        assert len(list(folder.glob("*.py"))) <= 15, folder
