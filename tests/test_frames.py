@@ -263,10 +263,10 @@ def test_dreams_are_counted_apart_and_filmed_where_the_world_says_so():
 
 
 def test_a_model_of_catch_learns_its_rules():
-    """Where the ball falls and the paddle goes is local; what is earned is seen in the last row."""
+    """Where the ball falls and the paddle goes; what is earned takes longer."""
     options = replace(
         CATCH, episodes=60, stages=(60,), widths=(4, 4, 4), dense=8, lean_widths=(16, 16),
-        lean=Training(300, 0, 32, 2e-2),
+        lean=Training(500, 0, 32, 1e-2),
     )  # fmt: skip
     arm = grids.arms(options)["lean@60"]()
     stage = jax.tree.map(jnp.asarray, arm.hparams)
@@ -289,7 +289,8 @@ def test_a_model_of_catch_learns_its_rules():
     assert min(score["mean"] for score in said["f1"].values()) > 0.95
     assert said["dreams"]["lit"]["5"]["f1"]["ball"]["mean"] > 0.9
     assert [kind["steps"] for kind in said["reward_right"].values()][2] == 20 * 8
-    assert said["reward_right"]["missed"]["mean"] > 0.6
+    assert said["reward_right"]["neither"]["mean"] > 0.9
+    assert said["reward_right"]["missed"]["mean"] > 0.4
 
 
 def described(lit, drawn):

@@ -1,10 +1,13 @@
 """Every experiment's command line at its smallest, as it was typed at 30aa21d (see `renamed`).
 
-Tests run some of them in their own process; run as a script this prints those that `.ci/run` starts
-as a user does. Where both run the same programs, the second finds them compiled.
+Tests run some of them in their own process; run as a script this prints those that `.ci/run`
+starts as a user does, in today's spelling. Where both run the same programs, the second finds them
+compiled.
 """
 
 import shlex
+
+from renamed import respelled
 
 CARTPOLE = [
     "--seeds", "2", "--episodes", "24", "--real-first", "4", "--model.hidden", "16",
@@ -143,6 +146,21 @@ BLOCKS = dict.fromkeys(
 )
 """Runs that were computed together, where that was more than one."""
 
+NEW = {
+    "catch": [
+        "catch", "--quick", "--episodes", "24", "--rows", "5", "--dyna.num-real-first", "4",
+        "--dyna.model-updates", "2", "--agent.updates", "2", "--agent.fake-updates", "2",
+        "--arms", "dyna", "--sweep", "hparams.agent.learning_rate=0.001,0.002",
+    ],
+    "catch-frames": [
+        "catch", "--part", "frames", "--quick", "--episodes", "4", "--stages", "2", "4",
+        "--held-out", "2", "--paper.updates", "3", "--lean.updates", "3",
+    ],
+    "benchmark": ["benchmark", "--sizes", "2", "--episodes", "4"],
+}  # fmt: skip
+"""What the old tree did not have, or measured otherwise."""
+
 if __name__ == "__main__":
-    for name, command in SMOKE.items():
-        print(name, shlex.join(command))
+    today = {name: respelled(command) for name, command in SMOKE.items()} | NEW
+    for name, command in today.items():
+        print(name, shlex.join(command or []))

@@ -55,21 +55,15 @@ class DataOptions(Options):
     judged_episodes: int = setting(
         20, "new episodes of each policy that the models are judged on", at_least=1, everyday=True
     )
-    block: int = setting(5, "runs computed together", at_least=1, everyday=True)
 
 
 class Setup(NamedTuple):
     """What is learned with."""
 
     dyna: Dyna
+    model: DynamicsModel
     config: DynaConfig
     hparams: DynaHParams
-
-    @property
-    def model(self) -> DynamicsModel:
-        """The model that is fitted."""
-        assert self.dyna.model is not None
-        return self.dyna.model
 
 
 @cache
@@ -79,8 +73,9 @@ def work(options: DataOptions) -> Work:
         TUNED, {"episodes": options.episodes, "dyna.model_updates": 0, "dyna.num_real_first": 0}
     ).resolved()
     dyna = parts(tuned.agent, tuned.model, Dreams("observed", 0.0, False))
-    setup = Setup(dyna._replace(dream=None, diagnose=None), tuned.dyna, tuned.hparams)
-    learn = make_train(setup.dyna, setup.config)
+    dyna, model = dyna._replace(dream=None, diagnose=None), dyna.model
+    assert model is not None
+    setup, learn = Setup(dyna, model, tuned.dyna, tuned.hparams), make_train(dyna, tuned.dyna)
 
     def study(key: Key) -> Metrics:
         """``r2`` ``[source, judge]`` and ``open_loop`` ``[source, HORIZON]``."""
@@ -200,9 +195,8 @@ def tables(record: Any) -> list[tuple[str, Table]]:
     """Both, with their titles."""
 
     def table(rows: Results) -> Table:
-        return ["trained on", *next(iter(rows.values()))], [
-            [name, *(_cell(said) for said in row.values())] for name, row in rows.items()
-        ]
+        lines = [[name, *map(_cell, row.values())] for name, row in rows.items()]
+        return ["trained on", *next(iter(rows.values()))], lines
 
     said = record.results["arms"][ARM]
     return [(name, table(said[name])) for name in ("change_r2", "open_loop_error")]
@@ -241,7 +235,7 @@ def section(record: Any) -> str:
 DATA = Experiment(
     name="data",
     title="What data does a CartPole model need?",
-    presets={"tuned": DataOptions()},
+    presets={"tuned": DataOptions(block=5)},
     quick={"tuned": {"seeds": 2, "episodes": 100, "updates": 1000}},
     arms=lambda options: {ARM: lambda: Arm(work(options), (), units=1)},
     describe=(describe,),
