@@ -2,7 +2,10 @@
 interrupted or not, it is the same run bit for bit.
 """
 
+import subprocess
+import sys
 import threading
+import time
 from functools import partial
 
 import chex
@@ -338,3 +341,48 @@ def test_dyna_is_the_same_in_any_company(tmp_path):
         play(stopped, arms, [0, 1, 2], stopping_after(stopped, 3), store=Store(tmp_path))
     assert_same_runs(play(engine, arms, [0, 1, 2], store=Store(tmp_path)), alone)
     assert len(engine.programs) == 1
+
+
+CATCH = """
+import sys
+from jaxdyna.experiments.catch import PARTS
+from jaxdyna.experiments.engine import checkpoint, main
+checkpoint.CHECKPOINT_SECONDS = 0.2
+sys.exit(main(*PARTS, prog="python -m jaxdyna.experiments.catch"))
+"""
+TINY = [
+    "--arms", "model_free", "dyna", "--rows", "3", "--columns", "2", "--seeds", "3",
+    "--episodes", "400", "--stop-after-solved", "None", "--agent.updates", "1",
+    "--agent.fake-updates", "1", "--agent.batch", "16", "--widths", "2", "--dyna.num-real-first",
+    "3", "--dyna.model-updates", "1", "--dyna.model-batch", "4", "--dyna.dream-episodes", "2",
+]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_killed_ten_times_and_resumed_is_uninterrupted(tmp_path):
+    """kill -9 of `python -m jaxdyna.experiments.catch`, at any moment."""
+
+    def start(out, *more):
+        command = [sys.executable, "-c", CATCH, *TINY, "--out", str(out), *more]
+        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+    assert start(tmp_path / "first").wait() == 0  # compiles
+    began = time.monotonic()
+    assert start(tmp_path / "whole").wait() == 0
+    seconds = time.monotonic() - began
+    random, out, kills, found = np.random.default_rng(0), tmp_path / "killed", 0, set()
+    while kills < 10:
+        begun = (out / "checkpoints" / "settings.json").exists() or (out / "results.json").exists()
+        process = start(out, *(["--resume"] if begun else []))
+        try:
+            process.wait(random.uniform(0.3, 0.9) * seconds)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            kills += 1
+        assert process.wait() in (0, -9), process.stderr.read()
+        found.add(tuple(sorted(path.name for path in out.glob("checkpoints/*/*.npz"))))
+    assert start(out, "--resume").wait() == 0
+    ours, theirs = (np.load(folder / "curves.npz") for folder in (out, tmp_path / "whole"))
+    assert ours.files == theirs.files and len(found) > 1
+    for name in ours.files:
+        np.testing.assert_array_equal(ours[name], theirs[name], err_msg=name)

@@ -57,7 +57,7 @@ def test_shards_put_together_are_the_whole(shards, whole, turned, tmp_path):
     assert len(set(ends)) > 1  # stops are on
     ours, theirs = read(out), read(whole)
     assert ours.keys() == theirs.keys()
-    own = ("command", "timing", "device")
+    own = ("command", "timing", "device", "commit", "source")
     assert {k: v for k, v in ours.items() if k not in own} == {
         k: v for k, v in theirs.items() if k not in own
     }

@@ -104,9 +104,12 @@ def test_who_imitates_dreams_later_or_stays_as_it_is():
         options = changed(CARTPOLE.presets["lean"], few | {"episodes": episodes}).resolved()
         work, hparams, units = cartpole_arms(options, judged=False)[name]()
         assert units == episodes
-        state, metrics = jax.jit(jax.vmap(work.init, (0, None), axis_name="runs"))(
-            jax.random.key(0)[None], hparams
-        ), []
+        state, metrics = (
+            jax.jit(jax.vmap(work.init, (0, None), axis_name="runs"))(
+                jax.random.key(0)[None], hparams
+            ),
+            [],
+        )
         step = jax.jit(jax.vmap(lambda state, number: work.step(state, None, number, hparams),
                                 (0, None), axis_name="runs"))  # fmt: skip
         for episode in range(episodes):

@@ -68,9 +68,11 @@ def model_errors(record: Any) -> str:
 
 
 def films(record: Any) -> str:
-    """Films of the first run's real episodes at stages of its training."""
+    """Films of the first run's real episodes at stages of its training; none of swept boards."""
     shown = {
-        name: curves for name, curves in report.drawn(record, ()).items() if "show_action" in curves
+        name: curves
+        for name, curves in report.drawn(record, ()).items()
+        if "show_action" in curves and "size" not in record.results["sweep"]
     }
     for name, curves in shown.items():
         frames.film(record.out / f"film_{name}.gif", _stages(record.options, curves), first_step=0)

@@ -97,9 +97,7 @@ LEAST = {
     "sizes.board": (6, 1, 40),
 }  # fmt: skip
 BASE = changed(
-    PlanningOptions(
-        **{item.name: getattr(LEAN, item.name) for item in fields(LEAN)}
-    ),
+    PlanningOptions(**{item.name: getattr(LEAN, item.name) for item in fields(LEAN)}),
     {"seeds": 12, "episodes": 180, "stop_after_solved": 0},
 )
 STUDY = Study(

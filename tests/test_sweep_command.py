@@ -1,0 +1,167 @@
+"""``--sweep FIELD=V,V,...``: each row is the arm as it is when that value alone is played."""
+
+import json
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from parts import DYNA, SMALL, hparams
+
+from jaxdyna.dyna import DynaConfig, DynaHParams
+from jaxdyna.experiments.engine import Experiment, Options, main, work
+from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.study.arms import Hooks, standard_arms
+from jaxdyna.fields import changed, setting
+from jaxdyna.statistics import SolveRule
+
+RATE, DREAMS = "hparams.agent.learning_rate", "dyna.dream_episodes"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoleOptions(Options):
+    """REINFORCE with dreams, for some seconds."""
+
+    decided: ClassVar = {"dyna.num_episodes": "--episodes"}
+
+    arms: tuple[str, ...] = setting(("dyna",), "what is played")
+    episodes: int = setting(6, "real episodes", at_least=1, everyday=True)
+    window: int = setting(3, "of the solve rule", at_least=1)
+    dyna: DynaConfig = setting(factory=lambda: SMALL)
+    hparams: DynaHParams = setting(factory=hparams)
+
+    def resolved(self):
+        return changed(self, {"dyna.num_episodes": self.episodes})
+
+
+def rule(options):
+    return SolveRule(options.window, 15.0)
+
+
+def arms(options):
+    hooks = Hooks(piece=2, block=options.block)
+    return standard_arms(DYNA, options.dyna, options.hparams, None, hooks, replays=False)
+
+
+POLE = Experiment(
+    name="pole",
+    title="Pole",
+    presets={"tuned": PoleOptions()},
+    arms=arms,
+    rule=rule,
+    describe=(lambda options, curves: {"dreams": options.dyna.dream_episodes},),
+    sections=(report.solving(rule, {}, {}), report.settings),
+)
+
+
+@pytest.fixture(scope="module")
+def play(tmp_path_factory):
+    """Plays a command line, once each: ``results, curves, programs, folder``."""
+    played = {}
+
+    def one(*arguments):
+        if arguments not in played:
+            out = tmp_path_factory.mktemp("pole")
+            programs = []
+            with pytest.MonkeyPatch.context() as patch:
+                build = work._Program.__init__
+                patch.setattr(work._Program, "__init__", lambda *parts: (
+                    programs.append(parts[1]), build(*parts))[1])  # fmt: skip
+                argv = ["--seeds", "3", "--block", "2", *arguments, "--out", str(out)]
+                assert main(POLE, argv=argv, prog="pole") == 0
+            results = json.loads((out / "results.json").read_text())
+            played[arguments] = results, np.load(out / "curves.npz"), programs, out
+        return played[arguments]
+
+    return one
+
+
+def assert_rows_are(sweep, rows):
+    """Each row of a sweep, bit for bit, is what its own command line plays."""
+    results, curves, _, out = sweep
+    assert list(results["arms"]) == list(rows)
+    for name, (_, alone, _, _) in rows.items():
+        for array in alone.files:
+            own = f"{name}/{array.removeprefix('dyna/')}"
+            np.testing.assert_array_equal(curves[own], alone[array], err_msg=own)
+        arm, _, where = name.partition("@")
+        assert (results["arms"][name]["arm"], results["arms"][name]["setting"]) == (arm, where)
+    different = {curves[f"{name}/agent_loss"].tobytes() for name in rows}
+    assert len(different) == len(rows)
+    assert (out / "sweep.png").read_bytes().startswith(b"\x89PNG")
+    text = (out / "report.md").read_text()
+    assert "(sweep.png)" in text and all(f"| {name} |" in text for name in rows)
+
+
+def test_hyper_parameters_are_swept_in_one_program(play):
+    sweep = play("--sweep", f"{RATE}=0.01,0.1")
+    assert len(sweep[2]) == 1
+    assert sweep[0]["sweep"] == {RATE: [0.01, 0.1]}
+    assert list(sweep[0]["timing"]["arms"]) == ["dyna"]
+    rows = {f"dyna@{RATE}={rate}": play(f"--{RATE}", str(rate)) for rate in (0.01, 0.1)}
+    assert_rows_are(sweep, rows)
+
+
+def test_what_decides_the_program_is_swept_in_several(play):
+    sweep = play("--sweep", f"{DREAMS}=1,3")
+    assert len(sweep[2]) == 2
+    rows = {f"dyna@{DREAMS}={count}": play(f"--{DREAMS}", str(count)) for count in (1, 3)}
+    assert_rows_are(sweep, rows)
+    assert [arm["dreams"] for arm in sweep[0]["arms"].values()] == [1, 3]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_grid_is_every_value_with_every_other(play, turned):
+    """As many programs as they need, in whichever order."""
+    fields = [f"{RATE}=0.01,0.1", f"{DREAMS}=1,3"]
+    grid = [(rate, count) for rate in (0.01, 0.1) for count in (1, 3)]
+    if turned:
+        fields, grid = fields[::-1], sorted(grid, key=lambda point: point[1])
+    sweep = play(*(word for field in fields for word in ("--sweep", field)))
+    assert len(sweep[2]) == 2
+
+    def name(rate, count):
+        parts = [f"{RATE}={rate}", f"{DREAMS}={count}"]
+        return f"dyna@{','.join(parts[::-1] if turned else parts)}"
+
+    alone = {
+        point: play(f"--{RATE}", str(point[0]), f"--{DREAMS}", str(point[1])) for point in grid
+    }
+    assert_rows_are(sweep, {name(*point): alone[point] for point in grid})
+    assert len(sweep[0]["timing"]["arms"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("said", "complaint"),
+    [
+        *((f"{name}=1,2", f"{name} makes no sense") for name in (
+            "seeds", "seed", "arms", "out", "episodes", "block", "stop_after_solved",
+        )),
+        ("learning_rate=0.1,0.2", "did you mean hparams.agent.learning_rate?"),
+        ("hparams.agent.learning_rat=0.1,0.2", "did you mean hparams.agent.learning_rate?"),
+        ("dyna.dream-episode=1,2", "did you mean dyna.dream_episodes?"),
+        ("dyna=1,2", "name one setting of it"),
+        ("dyna.num_episodes=1,2", "decided by --episodes"),
+        ("window=2,3", "several rules"),
+        ("hparams.agent.learning_rate", "FIELD=V,V,..."),
+        ("hparams.agent.learning_rate=", "FIELD=V,V,..."),
+        ("hparams.agent.learning_rate=0.1,0.1", "twice"),
+        ("hparams.agent.learning_rate=0.1,-1", "at least 0"),
+        ("hparams.agent.learning_rate=0.1,much", "much is no"),
+        ("dyna.dream_episodes=1,1.5", "1.5 is no"),
+    ],
+)  # fmt: skip
+def test_refused_by_name(said, complaint, tmp_path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(POLE, argv=["--sweep", said, "--out", str(tmp_path / "out")], prog="pole")
+    captured = capsys.readouterr()
+    assert stop.value.code == 2 and captured.out == ""
+    assert complaint in captured.err and len(captured.err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_field_twice_is_refused(tmp_path, capsys):
+    argv = ["--sweep", f"{RATE}=0.1", "--sweep", f"{RATE}=0.2", "--out", str(tmp_path)]
+    with pytest.raises(SystemExit):
+        main(POLE, argv=argv, prog="pole")
+    assert "twice" in capsys.readouterr().err
