@@ -9,7 +9,8 @@ import optax
 import pytest
 from parts import assert_close, assert_same
 
-from jaxdyna.experiments.pong_options import PAPER, config_of
+from jaxdyna.experiments.pong.options import TUNED
+from jaxdyna.experiments.pong.world import paper_model
 from jaxdyna.losses import bce, deceive, discern, l2
 from jaxdyna.models import (
     AdversarialHParams,
@@ -119,7 +120,7 @@ def test_a_weight_of_zero_is_the_squared_error_alone(batch, config):
 def test_both_learn_by_adam_with_a_short_memory():
     """A first step's running mean is (1 - 0.5) times the gradient, of its square (1 - 0.999)."""
     gradient = {"w": jnp.array(2.0)}
-    pong = config_of(PAPER, "adversarial").optimizer
+    pong = paper_model(TUNED).optimizer
     for make_optimizer in (gan_adam, AdversaryConfig().optimizer, pong):
         optimizer = make_optimizer(1e-3)
         state = optimizer.update(gradient, optimizer.init(gradient), gradient)[1]

@@ -38,7 +38,8 @@ def imports(path: Path):
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom):
             names = [f"{node.module}.{alias.name}" for alias in node.names]
-            yield from names if node.module in ("jaxdyna", "flax") else [node.module]
+            above = ("jaxdyna", "jaxdyna.experiments", "flax")
+            yield from names if node.module in above else [node.module]
         elif isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
 

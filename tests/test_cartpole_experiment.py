@@ -129,13 +129,9 @@ def test_the_placebo_learns_from_as_many_dreams():
 
 def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatch):
     """Ctrl-C after the second arm's first piece; what is left of it follows on resume."""
-    engines, played = [], []
-    original = Bars.tell
+    played, original = [], Bars.tell
 
     class Watched(Engine):
-        def __post_init__(self):
-            engines.append(self)
-
         def play(self, *arguments):
             played.append(self)
             return super().play(*arguments)
@@ -143,7 +139,7 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
     def interrupt(self, name, stage, done, over):
         original(self, name, stage, done, over)
         if (name, stage, done) == ("dyna", "running", 50):
-            engines[-1].interrupted.set()
+            played[-1].interrupted.set()
 
     monkeypatch.setattr(session, "Engine", Watched)
     arguments = ["--episodes", str(EPISODES), "--arms", "model_free", "dyna"]

@@ -104,19 +104,17 @@ def test_who_imitates_dreams_later_or_stays_as_it_is():
         options = changed(CARTPOLE.presets["lean"], few | {"episodes": episodes}).resolved()
         work, hparams, units = cartpole_arms(options, judged=False)[name]()
         assert units == episodes
-        state, metrics = (
-            jax.jit(jax.vmap(work.init, (0, None), axis_name="runs"))(
-                jax.random.key(0)[None], hparams
-            ),
-            [],
-        )
-        step = jax.jit(jax.vmap(lambda state, number: work.step(state, None, number, hparams),
-                                (0, None), axis_name="runs"))  # fmt: skip
-        for episode in range(episodes):
-            state, new = step(state, episode)
-            metrics.append(new)
-        joined = jax.tree.map(lambda *parts: np.concatenate(parts), *metrics)
-        return jax.tree.map(lambda leaf: leaf[0], replace(state, key=None).agent), joined
+
+        def whole(key):
+            return jax.lax.scan(
+                lambda state, number: work.step(state, None, number, hparams),
+                work.init(key, hparams),
+                jnp.arange(episodes),
+            )
+
+        played = jax.jit(jax.vmap(whole, axis_name="runs"))(jax.random.key(0)[None])
+        state, metrics = jax.tree.map(lambda leaf: leaf[0], played)
+        return state.agent, metrics
 
     shown, _ = learned("mpc_init", 4)
     dreaming, metrics = learned("mpc_init_dyna", 4)  # of which only the last dream counts
@@ -195,7 +193,7 @@ def test_a_row_with_unsolved_runs_leaves_a_lower_bound():
         (["--contenders", "MPC (true world)"], "add it"),
         (["--grounds", "moon"], "there is no moon"),
         (["--sizes.played", "0", "1"], "at least 1"),
-        (["--arms", "nobody"], "there is no nobody"),
+        (["--arms", "nobody"], "there is no arm nobody"),
     ],
 )
 def test_bad_input_is_explained(arguments, said, capsys):

@@ -31,4 +31,5 @@ def test_its_links_and_modules_exist():
             assert (page.parent / path).exists(), path
     text = README.read_text()
     for module in re.findall(r"python -m jaxdyna\.(\S+)", text):
-        assert (README.parent / "jaxdyna" / module.replace(".", "/")).with_suffix(".py").exists()
+        path = README.parent / "jaxdyna" / module.replace(".", "/")
+        assert path.with_suffix(".py").exists() or (path / "__main__.py").exists(), module

@@ -131,6 +131,31 @@ def test_a_grid_is_every_value_with_every_other(play, turned):
     assert len(sweep[0]["timing"]["arms"]) == 2
 
 
+def test_an_interrupted_sweep_is_reported_and_goes_on(play, tmp_path):
+    """Ctrl-C between two programs: of the first value there is a table, and no figure yet."""
+    argv = ["--seeds", "3", "--block", "2", "--sweep", f"{DREAMS}=1,3", "--out", str(tmp_path)]
+    asked = []
+
+    def stop(self, *rest):
+        asked.append(rest)
+        if len(asked) == 2:
+            raise KeyboardInterrupt
+        return playing(self, *rest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        playing = work.Engine.play
+        patch.setattr(work.Engine, "play", stop)
+        assert main(POLE, argv=argv, prog="pole") == 130
+    text = (tmp_path / "report.md").read_text()
+    assert f"| dyna@{DREAMS}=1 |" in text and f"| dyna@{DREAMS}=3 |" not in text
+    assert main(POLE, argv=[*argv, "--resume"], prog="pole") == 0
+    ours, whole = np.load(tmp_path / "curves.npz"), play("--sweep", f"{DREAMS}=1,3")[1]
+    assert ours.files == whole.files
+    for name in ours.files:
+        np.testing.assert_array_equal(ours[name], whole[name])
+    assert (tmp_path / "sweep.png").exists()
+
+
 @pytest.mark.parametrize(
     ("said", "complaint"),
     [

@@ -22,7 +22,7 @@ from jaxdyna.experiments.engine import Arm, Experiment, Options, Work
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report import studies
 from jaxdyna.experiments.report.summaries import Curves, mean_of_runs
-from jaxdyna.experiments.report.tables import Results, Table, interval, markdown_table, runs
+from jaxdyna.experiments.report.tables import Results, Table, markdown_table, runs, with_interval
 from jaxdyna.fields import changed, setting
 from jaxdyna.models.evaluation import one_step_sums, open_loop
 from jaxdyna.rollout import rollout
@@ -95,7 +95,7 @@ def work(options: DataOptions) -> Work:
 
     return Work(
         init=lambda key, _: key,
-        step=lambda key, _, unit, hparams: (key, study(key)),
+        step=lambda key, _, unit, hparams: (jax.random.clone(key), study(key)),
         piece=1, block=options.block,
     )  # fmt: skip
 
@@ -195,17 +195,13 @@ def tables(record: Any) -> list[tuple[str, Table]]:
     """Both, with their titles."""
 
     def table(rows: Results) -> Table:
-        lines = [[name, *map(_cell, row.values())] for name, row in rows.items()]
+        lines = [
+            [name, *(with_interval(said, 3) for said in row.values())] for name, row in rows.items()
+        ]
         return ["trained on", *next(iter(rows.values()))], lines
 
     said = record.results["arms"][ARM]
     return [(name, table(said[name])) for name in ("change_r2", "open_loop_error")]
-
-
-def _cell(said: Results) -> str:
-    if said["mean"] is None:
-        return "-"
-    return f"{said['mean']:.3f} ({interval(said['ci95'], 3)})"
 
 
 def section(record: Any) -> str:

@@ -47,6 +47,8 @@ def shares(of: Experiment) -> Section:
     """The share of the runs that have solved, an arm with poorer models in its own colour."""
 
     def section(record: Record) -> str:
+        if not record.curves:
+            return ""
         assert of.rule is not None
         rule = of.rule(record.options)
         first, known = {}, {}

@@ -28,6 +28,8 @@ def rows(column: str = "episodes_to_solve") -> Section:
 
     def section(record: Any) -> str:
         results, options = record.results, record.options
+        if not results["arms"]:
+            return ""
         header, lines = solve_table(results, column)
         first, *_ = arms = list(results["arms"].values())
         for line, arm in zip(lines, arms, strict=True):

@@ -118,22 +118,22 @@ def behaviour(measures: Mapping[str, str], window: int, name: str = "behaviour.p
 def swept(record: Any) -> str:
     """A figure of what was swept: curves for one field, a map for two; empty where nothing was."""
     sweep, arms = record.results["sweep"], record.results["arms"]
-    if not sweep or not all("final_return" in arm for arm in arms.values()):
+    shape = [len(values) for values in sweep.values()]
+    whole = {arm: names for arm, names in _by_arm(record).items() if len(names) == np.prod(shape)}
+    if not sweep or not whole or not all("final_return" in arm for arm in arms.values()):
         return ""
     if len(sweep) == 1:
         [(path, values)] = sweep.items()
         returns = {
             arm: [record.curves[name]["real_return"] for name in names]
-            for arm, names in _by_arm(record).items()
-            if len(names) == len(values)
+            for arm, names in whole.items()
         }
         plots.swept_curves(record.out / "sweep.png", path, values, returns)
     elif len(sweep) == 2:
         solved = {
             arm: np.array([arms[name]["episodes_to_solve"]["restricted_mean"] for name in names])
-            .reshape([len(values) for values in sweep.values()])
-            for arm, names in _by_arm(record).items()
-            if len(names) == np.prod([len(values) for values in sweep.values()])
+            .reshape(shape)
+            for arm, names in whole.items()
         }  # fmt: skip
         plots.swept_map(record.out / "sweep.png", sweep, solved)
     return figure(record, "sweep.png", f"swept: {', '.join(sweep)}")
