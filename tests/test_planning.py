@@ -96,6 +96,7 @@ def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_
     assert again["budgets"] == results["budgets"]
 
 
+@pytest.mark.slow
 def test_who_imitates_dreams_later_or_stays_as_it_is():
     few = {"dyna.num_real_first": 2, "shown_episodes": 2, "dyna.model_updates": 2,
            "mpc": ShootingConfig(2, 4), "dyna.dream_episodes": 2}  # fmt: skip

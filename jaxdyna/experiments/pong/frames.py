@@ -176,10 +176,11 @@ def pure_world(options: PongFrames) -> World:
     params = params_of(options, PongParams())
 
     def data(key: Key, _: Key, stage: Stage) -> tuple[Played, Played]:
-        keys, steps = jax.random.split(key, 3), options.steps
-        mixed = stage.part == POLICIES.index("mixed")
-        learned = play(game, params, steps, options.episodes, mixed, keys[stage.part])
-        return learned, play(game, params, steps, options.held_out, True, keys[2])
+        key_random, key_mixed, key_new = jax.random.split(key, 3)
+        mixed, steps = stage.part == POLICIES.index("mixed"), options.steps
+        key_learn = jax.random.clone(jnp.where(mixed, key_mixed, key_random))  # used once only
+        learned = play(game, params, steps, options.episodes, mixed, key_learn)
+        return learned, play(game, params, steps, options.held_out, True, key_new)
 
     return _world(options, view_of(game))._replace(data=data)
 
