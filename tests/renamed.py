@@ -69,7 +69,7 @@ ARRAYS: dict[str, str | None] = {
 JUDGED = (
     "held_out_*", "example_*", "greedy_*", "game_*", "cost_*", "film_greedy", "film_truth",
     "film_dream", "one_step", "mass", "reward", "dream*", "still_unserved", "seen", "truth",
-    "belief", "open_loop", "r2", "decisions: *",
+    "belief", "decisions: *",
 )  # fmt: skip
 """Arrays of what is judged after training, from keys of its own and perhaps by other names."""
 

@@ -92,6 +92,16 @@ def test_what_is_missing_is_a_difference_and_what_is_new_is_said(both):
     assert "greedy_return: judged: shape (2, 4) is now (2, 3)" in compare(old, new).notes
 
 
+def test_a_study_of_one_unit_is_compared_and_what_is_judged_alone_is_no_comparison():
+    old = {"study": {"r2": np.arange(6.0).reshape(2, 3)}}
+    new = {"study": {"r2": old["study"]["r2"][:, None].copy()}}
+    assert compare(old, new).first == ""
+    new["study"]["r2"][1, 0, 2] += 1
+    assert compare(old, new).first == "study/r2, run 1, episode 3: 5.0 is now 6.0"
+    judged = {"arm": {"greedy_return": np.zeros((2, 3))}}
+    assert compare(judged, judged).first == "nothing is compared by value"
+
+
 def test_runs_are_compared_up_to_their_own_ends(both):
     old, new = both
     arm = new["dyna (tuned preset)"]

@@ -86,6 +86,8 @@ def compare(old: Curves, new: Curves, tolerance: float | None = None, module: st
         verdict.total += len(names)
         verdict.equal += len(names) - len(wrong)
         verdict.differences += wrong.values()
+    if not verdict.total:
+        verdict.differs("nothing is compared by value")
     return verdict
 
 
@@ -103,6 +105,8 @@ def _matched(verdict: Verdict, arm: str, old: Mapping, new: Mapping) -> list[Pai
                 verdict.differs(f"{arm}/{name}: only in the base")
             continue
         other, shown = new[found], found.startswith("show_")
+        if other.shape == (*values.shape[:1], 1, *values.shape[1:]):
+            other = other[:, 0]  # of the one unit that a run has
         alone = values[0] if shown and values.ndim > other.ndim else values
         if judged:
             verdict.note(f"{name}: judged: {_judged(alone, other)}", arm)
