@@ -18,9 +18,9 @@ from jaxdyna.experiments.report.summaries import mean_of_runs
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.frames import Replayed, frame_dyna
-from jaxdyna.fields import changed, setting
+from jaxdyna.fields import LARGEST, changed, setting
 from jaxdyna.models import PixelConfig, PixelHParams, pixels
-from jaxdyna.networks import GlimpseQ, LocalDynamics, SignedReward
+from jaxdyna.networks import GlimpseQ, JointReward, LocalDynamics
 from jaxdyna.rollout import rollout
 from jaxdyna.statistics import SolveRule
 
@@ -51,7 +51,7 @@ class CatchOptions(Options):
                                       at_least=1)  # fmt: skip
     dyna: DynaConfig = setting(
         factory=lambda: DynaConfig(
-            num_episodes=400, num_steps=9, num_real_first=20, model_updates=20, model_batch=32,
+            num_episodes=LARGEST, num_steps=1, num_real_first=20, model_updates=20, model_batch=32,
             dream_updates=1, dream_episodes=32, dream_steps=9,
         )
     )  # fmt: skip
@@ -80,7 +80,7 @@ class CatchOptions(Options):
 def parts(game: Catch, agent: DQNConfig, widths: tuple[int, ...]) -> Dyna:
     """The parts of ``dyna``: one object, and so one program, for the same settings."""
     env, shape = FrameStack(game), (game.rows, game.columns, 3)
-    config = PixelConfig(LocalDynamics(3, widths), reward=SignedReward(), terminates=True)
+    config = PixelConfig(LocalDynamics(3, widths), reward=JointReward(), terminates=True)
     model = pixels(shape, game.num_actions, config)
     return frame_dyna(env, dqn(shape, game.num_actions, agent), model)
 

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import json
 import time
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -120,13 +123,17 @@ class BlockStore:
         self.pause = max(CHECKPOINT_SECONDS, (self.saved - began) / CHECKPOINT_SHARE)
 
     def load(self) -> Kept | None:
-        """Reads it back; None where there is none."""
+        """Reads it back; None where there is none.
+
+        Raises:
+            InputError: where it is not whole.
+        """
         if not self.path.exists():
             return None
         about = _about(self.path)
         state, metrics = Curves(), Curves()
         over: dict[int, Curves] = {row: {} for row in about["over"]}
-        with np.load(self.path) as file:
+        with _opened(self.path) as file:
             for name in file.files:
                 kind, _, rest = name.partition("/")
                 if kind == "state":
@@ -140,8 +147,17 @@ class BlockStore:
 
 
 def _about(path: Path) -> dict[str, Any]:
-    with np.load(path) as file:
+    with _opened(path) as file:
         return json.loads(str(file[ABOUT]))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    try:
+        with path.open("rb") as content, np.load(content) as file:
+            yield file
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path} is not whole ({error}): run without --resume") from None
 
 
 def _sort(array: Any) -> str:

@@ -54,7 +54,15 @@ class Call:
 
 
 def called(argv: Sequence[str], prog: str) -> tuple[Call, list[str]]:
-    """What the command line says beside the settings, and what is left of it."""
+    """What the command line says beside the settings, and what is left of it.
+
+    Args:
+        argv: the arguments.
+        prog: the command as the user types it.
+
+    Raises:
+        SystemExit: with code 2 and one line on bad input.
+    """
     return _quietly(
         prog, argv, lambda: tyro.cli(Call, args=list(argv), prog=prog, return_unknown_args=True)
     )
@@ -101,6 +109,10 @@ def parse(default: O, argv: Sequence[str], prog: str) -> O:
 
 def swept(options: Any, said: Sequence[str]) -> dict[str, list[Any]]:
     """The grid of ``--sweep FIELD=V,V,...``: values by dotted path.
+
+    Args:
+        options: an experiment's settings.
+        said: what was typed after each ``--sweep``.
 
     Raises:
         ValueError: with what to change.
