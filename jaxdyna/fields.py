@@ -282,10 +282,12 @@ def _read(value: Any, leaf: Leaf) -> Any:
     if isinstance(value, str) and str not in kinds and value not in kinds:
         if Path in kinds:
             return Path(value)
-        if float not in kinds or value not in ("inf", "-inf", "nan"):
-            known = f": give one of {', '.join(leaf.choices)}" if leaf.choices else ""
-            raise SettingError(leaf.path, f"is {value}, which cannot be read back{known}")
-        return float(value)
+        if float in kinds and value in ("inf", "-inf", "nan"):
+            return float(value)
+        if all(kind in (*_NAMES, NoneType) or isinstance(kind, str) for kind in kinds):
+            return value  # the check says what it must be
+        known = f": give one of {', '.join(leaf.choices)}" if leaf.choices else ""
+        raise SettingError(leaf.path, f"is {value}, which cannot be read back{known}")
     return float(value) if type(value) is int and float in kinds and int not in kinds else value
 
 

@@ -172,8 +172,8 @@ def test_an_interrupted_sweep_is_reported_and_goes_on(play, tmp_path):
         ("hparams.agent.learning_rate=", "FIELD=V,V,..."),
         ("hparams.agent.learning_rate=0.1,0.1", "twice"),
         ("hparams.agent.learning_rate=0.1,-1", "at least 0"),
-        ("hparams.agent.learning_rate=0.1,much", "much is no"),
-        ("dyna.dream_episodes=1,1.5", "1.5 is no"),
+        ("hparams.agent.learning_rate=0.1,much", "is much: it must be a number"),
+        ("dyna.dream_episodes=1,1.5", "is 1.5: it must be a whole number"),
     ],
 )  # fmt: skip
 def test_refused_by_name(said, complaint, tmp_path, capsys):

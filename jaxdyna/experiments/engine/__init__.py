@@ -14,19 +14,6 @@ from jaxdyna.experiments.engine.session import main
 from jaxdyna.experiments.engine.work import Arm, Curves, Engine, Runs, Work, runs_of
 
 __all__ = [
-    "Arm",
-    "Curves",
-    "Engine",
-    "Experiment",
-    "InputError",
-    "Options",
-    "Overrides",
-    "Record",
-    "Results",
-    "Runs",
-    "Study",
-    "Table",
-    "Work",
-    "main",
-    "runs_of",
-]
+    "Arm", "Curves", "Engine", "Experiment", "InputError", "Options", "Overrides", "Record",
+    "Results", "Runs", "Study", "Table", "Work", "main", "runs_of",
+]  # fmt: skip

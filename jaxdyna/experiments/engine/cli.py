@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import dataclasses
 import io
@@ -133,30 +134,23 @@ def swept(options: Any, said: Sequence[str]) -> dict[str, list[Any]]:
             raise ValueError(f"--sweep {path}: name one setting of it")
         if path in grid:
             raise ValueError(f"--sweep {path} twice: give all its values at once")
-        grid[path] = [_value(known[path], text) for text in values.split(",")]
+        grid[path] = [_value(options, known[path], text) for text in values.split(",")]
         if len(set(grid[path])) < len(grid[path]):
             raise ValueError(f"--sweep {one}: a value stands there twice")
     return grid
 
 
-def _value(leaf: Leaf, text: str) -> Any:
-    """A setting's value as typed; numbers of a tuple are joined by x."""
-    hint = str(leaf.hint)
-    named = dict(leaf.choices)
-    words = {str(word): word for word in get_args(leaf.hint) if isinstance(word, str)}
-    if text in named or text in words:
-        return (named | words)[text]
-    if text == "None" and "None" in hint:
-        return None
-    if "bool" in hint and text in ("True", "False"):
-        return text == "True"
-    number = float if "float" in hint else int
-    with contextlib.suppress(ValueError):
-        if "tuple" in hint:
-            return tuple(number(part) for part in text.split("x"))
-        if "float" in hint or "int" in hint:
-            return number(text)
-    raise ValueError(f"--sweep {leaf.path}: {text} is no {hint.replace('<class ', '').strip('>')}")
+def _value(options: Any, leaf: Leaf, text: str) -> Any:
+    """A setting's value as typed; the numbers of a tuple are joined by x."""
+
+    def read(word: str) -> Any:
+        try:
+            return ast.literal_eval(word)
+        except (ValueError, SyntaxError):
+            return word
+
+    value = [read(word) for word in text.split("x")] if "tuple" in str(leaf.hint) else read(text)
+    return fields.value_at(fields.restored(options, {leaf.path: value}), leaf.path)
 
 
 def help_text(prog: str, parts: Sequence[str], default: Any, everything: bool) -> str:

@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxdyna import fields
-from jaxdyna.experiments.engine import cli
+from jaxdyna.experiments.engine import cli, storage
 from jaxdyna.experiments.engine.checkpoint import InputError, Store
 from jaxdyna.experiments.engine.experiment import (
     Entry,
@@ -34,16 +34,6 @@ from jaxdyna.experiments.engine.experiment import (
     entries,
 )
 from jaxdyna.experiments.engine.progress import Bars
-from jaxdyna.experiments.engine.storage import (
-    check_writable,
-    provenance,
-    read_curves,
-    read_json,
-    set_aside,
-    write_curves,
-    write_json,
-    write_text,
-)
 from jaxdyna.experiments.engine.work import (
     Arm,
     Curves,
@@ -175,11 +165,11 @@ class Session:
         self.arms = {entry.name: entry.make() for entry in self.entries}
         if self.resume:
             self._take_up()
-        check_writable(self.out)
+        storage.check_writable(self.out)
         if not self.resume:
-            set_aside(self.out)
+            storage.set_aside(self.out)
         self.checkpoints.mkdir(exist_ok=True)
-        write_json(self.checkpoints / "settings.json", self._identity())
+        storage.write_json(self.checkpoints / "settings.json", self._identity())
 
     def run(self) -> int:
         """Plays and reports; returns the exit code: 0, 130 after Ctrl-C.
@@ -267,7 +257,7 @@ class Session:
     def _measure(self) -> None:
         """What the host measures, unless an earlier run has it."""
         path = self.checkpoints / "measured.json"
-        before = (read_json(path) or {}) if self.resume else {}
+        before = (storage.read_json(path) or {}) if self.resume else {}
         self.measured |= before
         for name, measure in self.experiment.measures.items():
             if name not in self.measured:
@@ -276,7 +266,7 @@ class Session:
                 seconds = {"measure_s": time.perf_counter() - began}
                 self.measured[name] = json.loads(json.dumps(found))
                 self.timing[name] = seconds
-                write_json(path, self.measured)
+                storage.write_json(path, self.measured)
 
     def _identity(self) -> Results:
         """What a resumed run must have in common with the one that it resumes."""
@@ -295,8 +285,8 @@ class Session:
         Raises:
             ValueError: where there is no such run.
         """
-        begun = read_json(self.checkpoints / "settings.json")
-        results = read_json(self.out / "results.json")
+        begun = storage.read_json(self.checkpoints / "settings.json")
+        results = storage.read_json(self.out / "results.json")
         finished = results and {
             **{name: results.get(name) for name in ("experiment", "part", "sweep")},
             "shard": results.get("runs", {}).get("shard"),
@@ -323,7 +313,7 @@ class Session:
         }
         if results["command"] != self.command:
             self.command = f"{results['command']} && {self.command} --resume"
-        self.curves = read_curves(self.out / "curves.npz")
+        self.curves = storage.read_curves(self.out / "curves.npz")
 
     def _write(self) -> None:
         ordered = [entry.name for entry in self.entries]
@@ -339,7 +329,7 @@ class Session:
                 "experiment": self.family,
                 "part": self.experiment.name,
                 "command": self.command,
-                **provenance(self.earlier),
+                **storage.provenance(self.earlier),
                 "runs": {
                     "seeds": self.seeds, "of": self.options.seeds, "shard": list(self.shard),
                     "block": self.options.block,
@@ -349,8 +339,8 @@ class Session:
                 **self.measured,
             },
         )  # fmt: skip
-        write_json(self.out / "results.json", self.results)
-        write_curves(self.out / "curves.npz", self.curves)  # the last: what is in it is finished
+        storage.write_json(self.out / "results.json", self.results)
+        storage.write_curves(self.out / "curves.npz", self.curves)  # last: it tells what is done
 
     def _report(self) -> None:
         self._write()
@@ -429,7 +419,7 @@ def write_report(experiment: Experiment, record: Record) -> None:
     head = [f"# {experiment.title}", f"`{record.results['command']}`"]
     parts = [*head, *(section(record) for section in experiment.sections)]
     text = "\n\n".join(part.strip("\n") for part in parts if part) + "\n"
-    write_text(record.out / "report.md", text)
+    storage.write_text(record.out / "report.md", text)
 
 
 def _group_name(group: Sequence[Entry], counts: Mapping[str, int]) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from queue import SimpleQueue
@@ -463,10 +463,3 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def take(curves: Mapping[str, np.ndarray], rows: slice) -> Curves:
-    """Some of the runs."""
-    return {
-        name: values if name.startswith(SHOWN) else values[rows] for name, values in curves.items()
-    }
