@@ -279,16 +279,17 @@ def _read(value: Any, leaf: Leaf) -> Any:
         return type(leaf.value)(*parts) if hasattr(leaf.value, "_fields") else tuple(parts)
     if isinstance(value, str) and value in leaf.choices:
         return leaf.choices[value]
+    if float in kinds and (
+        value in ("inf", "-inf", "nan") or type(value) is int and int not in kinds
+    ):
+        return float(value)
     if isinstance(value, str) and str not in kinds and value not in kinds:
         if Path in kinds:
             return Path(value)
-        if float in kinds and value in ("inf", "-inf", "nan"):
-            return float(value)
-        if all(kind in (*_NAMES, NoneType) or isinstance(kind, str) for kind in kinds):
-            return value  # the check says what it must be
-        known = f": give one of {', '.join(leaf.choices)}" if leaf.choices else ""
-        raise SettingError(leaf.path, f"is {value}, which cannot be read back{known}")
-    return float(value) if type(value) is int and float in kinds and int not in kinds else value
+        if not all(kind in (*_NAMES, NoneType) or isinstance(kind, str) for kind in kinds):
+            known = f": give one of {', '.join(leaf.choices)}" if leaf.choices else ""
+            raise SettingError(leaf.path, f"is {value}, which cannot be read back{known}")
+    return value  # the check says what it must be
 
 
 def _said(value: Any, choices: Mapping[str, Any]) -> Any:
