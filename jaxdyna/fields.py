@@ -279,9 +279,8 @@ def _read(value: Any, leaf: Leaf) -> Any:
         return type(leaf.value)(*parts) if hasattr(leaf.value, "_fields") else tuple(parts)
     if isinstance(value, str) and value in leaf.choices:
         return leaf.choices[value]
-    if float in kinds and (
-        value in ("inf", "-inf", "nan") or type(value) is int and int not in kinds
-    ):
+    whole = type(value) is int and int not in kinds
+    if float in kinds and (whole or value in ("inf", "-inf", "nan")):
         return float(value)
     if isinstance(value, str) and str not in kinds and value not in kinds:
         if Path in kinds:
