@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -180,7 +181,8 @@ def prediction_figure(
 def solved_share(
     path: Path, first_solved: Mapping[str, np.ndarray], known: Mapping[str, int] | None = None
 ) -> None:
-    """The share of the runs whose solving window has begun, against real episodes.
+    """The share of the runs whose solving window has begun, against real episodes. What is called
+    "arm, changed so" has the arm's colour and a broken line.
 
     Args:
         path: the PNG.
@@ -191,16 +193,20 @@ def solved_share(
     """
     figure, panel = subplots(figsize=(6.4, 3.6))
     latest = max([values[np.isfinite(values)].max(initial=2) for values in first_solved.values()])
+    alike: Counter[str] = Counter()
     for name, values in first_solved.items():
         numbers = np.sort(values)
         share = np.arange(1, len(numbers) + 1) / len(numbers)
         solved = np.isfinite(numbers)
         end = known[name] if known else latest * 1.05
+        kind = name.partition(",")[0]
+        alike[kind] += 1
         panel.step(
             np.concatenate([[1], numbers[solved], [end]]),
             np.concatenate([[0], share[solved], [solved.mean()]]),
             where="post",
             color=colour(name),
+            linestyle=("-", "--", ":", "-.")[alike[kind] % 4 - 1],
             label=f"{name} ({len(numbers)} runs)",
         )
     if known is None:
@@ -210,6 +216,8 @@ def solved_share(
     panel.set_ylabel("share of the runs")
     panel.set_ylim(-0.02, 1.02)
     panel.legend(fontsize=8, frameon=False)
+    if len(first_solved) > 6:  # no room inside
+        panel.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     panel.spines[["top", "right"]].set_visible(False)
     save(figure, path)
 

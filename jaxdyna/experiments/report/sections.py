@@ -73,13 +73,24 @@ def learning_curves(
         }
         plots.learning_curves(record.out / name, returns, solves.threshold, at,
                               real_first(record.options), what, window)  # fmt: skip
-        first = {name: values - solves.window + 1 for name, values in at.items()}
-        known = {
-            name: max(int(np.isfinite(curves["real_return"]).sum(1).max()) - solves.window + 1, 1)
-            for name, curves in record.curves.items()
-        }
+        return paragraphs(f"![{said}]({name})", solved_share(rule)(record))
+
+    return section
+
+
+def solved_share(rule: Rule) -> Section:
+    """The share of the runs that have solved, against real episodes."""
+
+    def section(record: Any) -> str:
+        if not record.curves:
+            return ""
+        solves, first, known = rule(record.options), {}, {}
+        for name, curves in record.curves.items():
+            first[name] = episodes_to_solve(solves.score(curves), solves) - solves.window + 1
+            played = int(np.isfinite(curves["real_return"]).sum(1).max())
+            known[name] = max(played - solves.window + 1, 1)
         plots.solved_share(record.out / "solved.png", first, known)
-        return paragraphs(f"![{said}]({name})", "![share of the runs that have solved](solved.png)")
+        return "![share of the runs that have solved](solved.png)"
 
     return section
 
