@@ -14,7 +14,7 @@ MODULES: dict[str, tuple[str, ...] | None] = {
     "cartpole_data": ("cartpole", "--part", "data"),
     "maze_levers": ("maze", "--part", "levers"),
     "cartpole_scaling": ("benchmark", "--part", "sweep"),
-    "maze_bench": ("benchmark", "--part", "steps"),
+    "maze_bench": None,
     "pong_likeness": None,
 }
 """None: cut, with its record."""
@@ -52,14 +52,15 @@ DECIDED = {
     "* hparams.env.max_steps": "--steps decides it, and today's record says how",
     "pong hparams.env.points_to_win": "none, since an episode is so many steps",
     "pong hparams.env.*serve_delay": "--serve-delay decides it",
+    "planning contenders": "five of them are no longer played, as the lab book says",
     "maze mpc.discount": "the agent's",
     "maze mcts.discount": "the agent's",
     "maze cloning.capacity": "as many steps as --shown-episodes have",
     "maze cloning.l*": "the arm's own, which are the setting's default today",
     "cartpole block": "None was all runs together; a number decides a run's bits today",
 }
-"""Recorded settings that were not those in use, or mean another thing, by module and pattern of the
-path, and why."""
+"""Recorded settings that were not those in use, mean another thing or were cut, by module and
+pattern of the path, and why."""
 
 ARRAYS: dict[str, str | None] = {
     "judged_error": None,  # in results.json, out of the curve that it is a mean of

@@ -1,11 +1,10 @@
-"""The benchmark: sweeps by their number of runs, training steps in turns with PyTorch's."""
+"""The benchmark: sweeps by their number of runs."""
 
 import json
-import sys
 
 import pytest
 
-from jaxdyna.experiments.benchmark import PARTS, steps
+from jaxdyna.experiments.benchmark import PARTS
 from jaxdyna.experiments.engine import main
 
 PROG = "python -m jaxdyna.experiments.benchmark"
@@ -29,21 +28,3 @@ def test_bad_input_is_one_line(arguments, words, capsys):
         main(*PARTS, argv=arguments, prog=PROG)
     said = capsys.readouterr().err
     assert stop.value.code == 2 and words in said and len(said.splitlines()) == 1
-
-
-def test_without_pytorch_one_line_says_how_to_get_it(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "torch", None)
-    arguments = ["--part", "steps", "--out", str(tmp_path)]
-    with pytest.raises(SystemExit) as stop:
-        main(*PARTS, argv=arguments, prog=PROG)
-    said = capsys.readouterr().err
-    assert stop.value.code == 2 and "pip install 'jaxdyna[bench]'" in said
-    assert len(said.splitlines()) == 1
-
-
-def test_contenders_take_turns_and_are_compared():
-    header, rows = steps.compared({"ours": [1.0, 2.0, 3.0], "PyTorch": [4.0]}, "PyTorch")
-    assert rows[0] == ["ours", "2.00", "1.50 to 2.50", "0.50"] and len(header) == 4
-    called = []
-    taken = steps.take_turns({name: lambda n=name: called.append(n) for name in "ab"}, 2)
-    assert called == list("baabbaab") and [len(values) for values in taken.values()] == [2, 2]

@@ -82,7 +82,6 @@ def test_old_spellings_become_todays():
         "pong --preset=paper --part=model --paper.updates 3 --steps 9 --stages 1 2":
         "pong --part frames --preset tuned --paper.updates 3 --steps 9 --stages 1 2",
         "pong --arms more_updates dyna": "pong --arms max_updates dyna",
-        "maze_bench --rounds 2": "benchmark --part steps --rounds 2",
         "pong_likeness --seed 1": "cut",
     }.items():  # fmt: skip
         assert spelled(old) == new

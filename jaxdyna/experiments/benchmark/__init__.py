@@ -1,6 +1,5 @@
-"""What things cost: whole sweeps by their number of runs, training steps beside PyTorch's."""
+"""What things cost: whole sweeps by their number of runs."""
 
-from jaxdyna.experiments.benchmark.steps import STEPS
 from jaxdyna.experiments.benchmark.sweep import SWEEP
 
-PARTS = (SWEEP, STEPS)
+PARTS = (SWEEP,)

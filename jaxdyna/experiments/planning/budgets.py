@@ -4,8 +4,6 @@ Every contender plays the same episodes of the real environment; its decisions a
 that, for one environment and for a batch of them.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -21,6 +19,9 @@ from jaxdyna.statistics import bootstrap_interval
 from jaxdyna.types import Environment, Key
 
 REPEATS, TIMED_SECONDS = 5, 0.3
+Act = Callable[[Any, jax.Array, Any, Key], jax.Array]
+"""``(learned, obs, state, key) -> action`` from what one run has learned, what is seen, and the
+true state, which only planners in the true environment may look at."""
 
 
 class Contender(NamedTuple):
@@ -30,14 +31,13 @@ class Contender(NamedTuple):
         who: its kind: a policy, a planner.
         world: what it plans in, "-" where nothing is planned.
         steps: steps of that world a decision.
-        act: ``(learned, obs, state, key) -> action`` from what one run has learned, what is seen,
-            and the true state, which only planners in the true environment may look at.
+        act: how it decides.
     """
 
     who: str
     world: str
     steps: int
-    act: Callable[[Any, jax.Array, Any, Key], jax.Array]
+    act: Act
 
     @property
     def label(self) -> str:
@@ -80,34 +80,31 @@ def measure(
     best = best_returns(ground)
     rows: list[Results] = []
     for contender in contenders:
-        returns = play(ground, contender.act)
+        who, world, steps, act = contender
+        returns = play(ground, act)
         first = np.array(rows[0]["returns"]) if rows else returns
-        both = np.stack([returns, best, first], axis=-1)
-        apart = both.sum(1) if len(both) > 2 else both.reshape(-1, 3)  # by run or episode
-        said = f"{contender.label}, {contender.steps} steps"
-        rows.append(
-            {
-                "environment": ground.name,
-                "who": contender.who,
-                "world": contender.world,
-                "steps": contender.steps,
-                "returns": returns.tolist(),
-                "share": float(returns.sum() / best.sum()),
-                "share_ci95": bootstrap_interval(
-                    apart, lambda parts: parts[..., 0].sum(-1) / parts[..., 1].sum(-1)
-                ),
-                "gain": float((returns - first).sum() / best.sum()),
-                "gain_ci95": bootstrap_interval(
-                    apart,
-                    lambda parts: (parts[..., 0] - parts[..., 2]).sum(-1) / parts[..., 1].sum(-1),
-                ),
-                "ms": milliseconds(ground, contender.act, 1),
-                "batch": ground.batch,
-                "ms_in_batch": milliseconds(ground, contender.act, ground.batch) / ground.batch,
-            }
-        )
-        say(f"{ground.name}: {said}: share {rows[-1]['share']:.3f}, {rows[-1]['ms']:.3g} ms")
+        row = {
+            "environment": ground.name, "label": contender.label, "who": who, "world": world,
+            "steps": steps, "returns": returns.tolist(),
+            **_share("share", returns, best), **_share("gain", returns - first, best),
+            "ms": milliseconds(ground, act, 1), "batch": ground.batch,
+            "ms_in_batch": milliseconds(ground, act, ground.batch) / ground.batch,
+        }  # fmt: skip
+        said = f"{contender.label}, {steps} steps: share {row['share']:.3f}, {row['ms']:.3g} ms"
+        say(f"{ground.name}: {said}")
+        rows.append(row)
     return rows
+
+
+def _share(name: str, earned: np.ndarray, best: np.ndarray) -> Results:
+    """With its interval over the runs; over the episodes where there are one or two."""
+    parts = np.stack([earned, best], axis=-1)
+    parts = parts.sum(1) if len(parts) > 2 else parts.reshape(-1, 2)
+
+    def share(parts: np.ndarray) -> np.ndarray:
+        return parts[..., 0].sum(-1) / parts[..., 1].sum(-1)
+
+    return {name: float(share(parts)), f"{name}_ci95": bootstrap_interval(parts, share)}
 
 
 def best_returns(ground: Ground) -> np.ndarray:
@@ -120,7 +117,7 @@ def best_returns(ground: Ground) -> np.ndarray:
     return np.asarray(jax.jit(jax.vmap(best))(_keys(ground)))
 
 
-def play(ground: Ground, act: Callable[[Any, jax.Array, Any, Key], jax.Array]) -> np.ndarray:
+def play(ground: Ground, act: Act) -> np.ndarray:
     """Returns ``[runs, episodes]``."""
     world = Revealed(ground.env)
 
@@ -144,24 +141,21 @@ def _keys(ground: Ground) -> Key:
     return jax.random.split(jax.random.clone(ground.key), runs)
 
 
-def milliseconds(
-    ground: Ground, act: Callable[[Any, jax.Array, Any, Key], jax.Array], batch: int
-) -> float:
+def milliseconds(ground: Ground, act: Act, batch: int) -> float:
     """Of one call that decides for so many environments by what the first run has learned: the
     median of several timings.
     """
     keys = jax.random.split(jax.random.fold_in(jax.random.clone(ground.key), batch), (2, batch))
-    obs, state = jax.jit(jax.vmap(lambda key: ground.env.reset(key, ground.params)))(keys[0])
+    seen = jax.jit(jax.vmap(lambda key: ground.env.reset(key, ground.params)))(keys[0])
     one = partial(act, jax.tree.map(lambda leaf: leaf[0], ground.learned))
     decide: Any = jax.vmap(one)
-    args = (obs, state, keys[1])
+    args = (*seen, keys[1])
     if batch == 1:  # as who acts in one environment would call it
         decide, args = one, jax.tree.map(lambda leaf: leaf[0], args)
     call = jax.jit(decide).lower(*args).compile()
     jax.block_until_ready(call(*args))
     timings: list[float] = []
-    began = time.perf_counter()
-    while len(timings) < REPEATS or time.perf_counter() - began < TIMED_SECONDS:
+    while len(timings) < REPEATS or sum(timings) < TIMED_SECONDS:
         start = time.perf_counter()
         jax.block_until_ready(call(*args))
         timings.append(time.perf_counter() - start)

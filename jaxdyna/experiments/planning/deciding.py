@@ -1,14 +1,12 @@
 """What is compared: who decides, and who learns; settings and the experiment."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import jax
 
-from jaxdyna.experiments.cartpole.acting import CARTPOLE
-from jaxdyna.experiments.cartpole.options import LEAN, CartPoleOptions
+from jaxdyna.experiments.cartpole.arms import SAID
+from jaxdyna.experiments.cartpole.options import LEAN, CartPoleOptions, rule
 from jaxdyna.experiments.cartpole.studies import OF
 from jaxdyna.experiments.engine import Experiment, Results, Study
 from jaxdyna.experiments.planning import claim, report
@@ -21,12 +19,10 @@ from jaxdyna.planners import require_mctx
 
 GROUNDS = {"cartpole": cartpole_ground, "maze": maze_ground}
 CONTENDERS = (
-    "policy", "MPC (true world)", "MPC (learned world)", "MPC, its own models (learned world)",
-    "CEM (learned world)", "MCTS (true world)", "MCTS (learned world)",
-    "MCTS, Gumbel (learned world)", "MPC to the goal (true world)",
-    "MPC, learned values (true world)", "MPC, learned values (learned world)",
-    "CEM, learned values (learned world)", "MCTS, learned values (true world)",
-    "MCTS, learned values (learned world)", "MCTS, Gumbel, learned values (learned world)",
+    "policy", "MPC (true world)", "MPC (learned world)", "MCTS (true world)",
+    "MCTS (learned world)", "MPC to the goal (true world)", "MPC, learned values (true world)",
+    "MPC, learned values (learned world)", "MCTS, learned values (true world)",
+    "MCTS, learned values (learned world)",
 )  # fmt: skip
 GROUND_KEY = 2**32 - 2
 """Folded into the base seed's key: the runs' own keys are its first splits."""
@@ -36,9 +32,7 @@ POORER = {"": {}, ", 20 model updates": {"dyna.model_updates": 20},
 ROWS: dict[str, dict[str, Any]] = {
     f"{name}{said}": {"arm": name, **change} for said, change in POORER.items() for name in IMITATE
 } | {name: {"arm": name} for name in ("mpc", "mcts", "model_free")}
-PLAYED = (
-    *IMITATE, *(f"{name}, 20 model updates" for name in IMITATE), "mpc", "model_free",
-)  # fmt: skip
+PLAYED = (*IMITATE, *(f"{name}, 20 model updates" for name in IMITATE), "mpc", "model_free")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,20 +42,17 @@ class PlanningOptions(CartPoleOptions):
     """
 
     grounds: tuple[str, ...] = setting(
-        tuple(GROUNDS), "where decisions are timed and played: cartpole, maze", everyday=True
-    )
+        tuple(GROUNDS), "where decisions are timed and played", choices=tuple(GROUNDS),
+        everyday=True,
+    )  # fmt: skip
     contenders: tuple[str, ...] = setting(
-        CONTENDERS, "who decides there: the policy, and planners by what they are told and plan in"
-    )
+        CONTENDERS, "who decides there: the policy, and planners by what they are told and plan in",
+        choices=CONTENDERS,
+    )  # fmt: skip
     sizes: Sizes = setting(factory=Sizes)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, known in (("grounds", tuple(GROUNDS)), ("contenders", CONTENDERS)):
-            if unknown := sorted(set(getattr(self, name)) - set(known)):
-                raise ValueError(
-                    f"--{name}: there is no {unknown[0]}; there are: {'; '.join(known)}"
-                )
         if "policy" not in self.contenders:
             raise ValueError("--contenders: the policy is what planners are compared with; add it")
 
@@ -80,7 +71,7 @@ def budgets(options: PlanningOptions, say: Any) -> list[Results]:
     for (name, make), key in zip(GROUNDS.items(), keys, strict=True):
         if name in options.grounds:
             say(f"{name}: learning a model and a policy ...")
-            for ground, tried in make(key, options.sizes, options.contenders):
+            for ground, tried in make(key, options.sizes):
                 chosen = (who for who in tried if who.label in options.contenders)
                 found += measure(ground, chosen, say)
     return found
@@ -88,10 +79,7 @@ def budgets(options: PlanningOptions, say: Any) -> list[Results]:
 
 LEAST = {
     "seeds": 2, "episodes": 110, "arms": ("dyna", "mpc_init", "mpc"),
-    "contenders": (
-        "policy", "MPC (learned world)", "MCTS (learned world)",
-        "MPC, learned values (learned world)", "MCTS, learned values (learned world)",
-    ),
+    "contenders": tuple(label for label in CONTENDERS if "true" not in label),
     "sizes.runs": (1, 1), "sizes.cartpole_episodes": 15, "sizes.maze_episodes": (20,),
     "sizes.played": (4, 4), "sizes.candidates": (32,), "sizes.simulations": (8,),
     "sizes.board": (6, 1, 40),
@@ -110,8 +98,9 @@ STUDY = Study(
     describe=(claim.describe,),
     quick=LEAST,
     sections=(
-        report.decisions, report.learning, rows("first_solved"), report.shares(CARTPOLE),
-        sections.distribution, report.robust, sections.settings, sections.spent,
+        report.decisions, rows("first_solved"), sections.arms_said(SAID),
+        sections.solved_share(rule), sections.distribution, report.robust, sections.settings,
+        sections.spent,
     ),
     summary=report.summary,
 )  # fmt: skip

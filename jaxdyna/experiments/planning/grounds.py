@@ -1,52 +1,31 @@
 """The two environments that planners and policies are compared in, and who is compared there."""
 
-from __future__ import annotations
-
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.dyna import Dyna, DynaState
+from jaxdyna import planners
+from jaxdyna.dyna import Dyna, DynaHParams, DynaState
 from jaxdyna.envs import Maze
 from jaxdyna.experiments import cartpole, maze
-from jaxdyna.experiments.cartpole.arms import Dreams, random_episodes
 from jaxdyna.experiments.engine import Arm
 from jaxdyna.experiments.maze.arms import agent_of, model_of
 from jaxdyna.experiments.maze.planned import by_values
 from jaxdyna.experiments.planning.budgets import Contender, Ground
-from jaxdyna.experiments.planning.contenders import (
-    always,
-    by,
-    in_model,
-    in_true,
-    policy,
-    rounds,
-    untold,
-)
 from jaxdyna.experiments.study.arms import greedy
-from jaxdyna.experiments.study.planners import without_guide
+from jaxdyna.experiments.study.planners import MakeGuide, on_model, without_guide
 from jaxdyna.fields import changed, check, setting
-from jaxdyna.planners import (
-    Guide,
-    SearchConfig,
-    ShootingConfig,
-    gumbel_muzero,
-    muzero,
-    random_shooting,
-    rollout_value,
-    solve_maze,
-)
 from jaxdyna.sweep import over_runs
 
 FAR = 1.5
 """Steps that shooting without a value looks ahead in the Maze, as a multiple of the way to the
 goal: a sequence with a drift towards the goal makes detours."""
-OWN_MODELS = "MPC, its own models"
-OWN = f"{OWN_MODELS} (learned world)"
+Grounds = Iterator[tuple[Ground, Iterator[Contender]]]
 
 
 @dataclass(frozen=True)
@@ -64,10 +43,7 @@ class Sizes:
         (3, 5), "episodes that a contender plays with what each run has learned, by environment",
         at_least=1,
     )  # fmt: skip
-    candidates: tuple[int, ...] = setting(
-        (8, 32), "sequences of random shooting; the most of them also in the rounds of the "
-        "cross-entropy method", at_least=1,
-    )  # fmt: skip
+    candidates: tuple[int, ...] = setting((8, 32), "sequences of random shooting", at_least=1)
     simulations: tuple[int, ...] = setting((4, 16), "nodes of tree search", at_least=1)
     far_candidates: tuple[int, ...] = setting(
         (256,), "sequences of shooting in the true Maze, which is looked at to the goal", at_least=1
@@ -79,91 +55,49 @@ class Sizes:
 
     def __post_init__(self) -> None:
         check(self)
-        if not self.maze_episodes:
-            raise ValueError("maze_episodes is empty: give one number at least")
         Maze(*self.board[:2])
 
 
-def learned(arm: Arm, key: jax.Array, runs: int, after: Sequence[int]) -> list[DynaState]:
-    """So many runs of the arm, ``[runs, ...]``, after each of so many real episodes, in order;
-    without keys: nothing follows.
-    """
-    hparams = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], arm.hparams)
-    start = jax.jit(over_runs(arm.work.init, 1))
-
-    @partial(jax.jit, donate_argnums=0)
-    def proceed(state: Any, first: jax.Array, end: jax.Array, hparams: Any) -> Any:
-        def one(state: Any, hparams: Any) -> Any:
-            def episode(number: jax.Array, state: Any) -> Any:
-                return arm.work.step(state, None, number, hparams)[0]
-
-            return jax.lax.fori_loop(first, end, episode, state)
-
-        return over_runs(one, 1)(state, hparams)
-
-    stages: list[list[DynaState]] = [[] for _ in after]
-    for one in jax.random.split(key, runs):
-        state, done = start(one[None], hparams), 0
-        for stage, episodes in zip(stages, after, strict=True):
-            state, done = proceed(state, done, episodes, hparams), episodes
-            stage.append(jax.tree.map(lambda leaf: jnp.copy(leaf[0]), replace(state, key=None)))
-    return [jax.tree.map(lambda *leaves: jnp.stack(leaves), *stage) for stage in stages]
-
-
-def cartpole_ground(
-    key: jax.Array, sizes: Sizes, wanted: Collection[str]
-) -> Iterator[tuple[Ground, Iterator[Contender]]]:
-    """CartPole, and what was learned there in the ``lean`` preset by `dyna`, and, if it is wanted,
-    by `mpc`, whose models know a planner's episodes.
-    """
-    keys = jax.random.split(key, 3)
-    names = ("dyna", "mpc") if OWN in wanted else ("dyna",)
-    lean, episodes = cartpole.CARTPOLE.presets["lean"], sizes.cartpole_episodes
-    options = changed(lean, {"episodes": episodes}).resolved()
-    arms = cartpole.CARTPOLE.arms(options)
-    dreams = Dreams(options.dream_start, options.dream_noise, options.authors_bug)
-    dyna, hparams = cartpole.arms.parts(options.agent, options.model, dreams), options.hparams
-    env, env_params, steps = dyna.env, hparams.env, options.dyna.num_steps
-    states = [
-        learned(arms[name](), key, sizes.runs[0], [episodes])[0]
-        for name, key in zip(names, keys, strict=False)
-    ]
+def cartpole_ground(key: jax.Array, sizes: Sizes) -> Grounds:
+    """CartPole, and what was learned there by `dyna` of the ``lean`` preset."""
+    key_learn, _, key_play = jax.random.split(key, 3)
+    episodes = {"episodes": sizes.cartpole_episodes}
+    options = changed(cartpole.CARTPOLE.presets["lean"], episodes).resolved()
+    dreams = cartpole.arms.Dreams(options.dream_start, options.dream_noise, options.authors_bug)
+    dyna, steps = cartpole.arms.parts(options.agent, options.model, dreams), options.dyna.num_steps
+    arm = cartpole.CARTPOLE.arms(options)["dyna"]()
+    [state] = learned(arm, key_learn, sizes.runs[0], [sizes.cartpole_episodes])
     ground = Ground(
-        "CartPole", env, env_params, states, steps, lambda start, params: jnp.float32(steps),
-        keys[2], sizes.played[0], sizes.batch,
+        "CartPole", dyna.env, options.hparams.env, state, steps,
+        lambda start, params: jnp.float32(steps), key_play, sizes.played[0], sizes.batch,
     )  # fmt: skip
+    yield ground, cartpole_contenders(dyna, options, sizes)
+
+
+def cartpole_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Contender]:
+    """Who is compared in CartPole."""
     depth, discount = options.mcts_rollout, options.mcts.discount
-    dreamt, planned = (partial(by, which) for which in (0, 1))
+    of = partial(planner, dyna, options.hparams)
 
-    def tried() -> Iterator[Contender]:
-        yield dreamt(policy(dyna, hparams.agent))
-        for count in sizes.candidates:
-            config = replace(options.mpc, candidates=count)
-            steps = count * config.horizon
-            make: Any = partial(random_shooting, config=config)
-            yield in_true("MPC", env, env_params, make, steps, untold)
-            yield dreamt(in_model("MPC", dyna, hparams, make, steps, without_guide))
-            if count == max(sizes.candidates):
-                yield planned(in_model(OWN_MODELS, dyna, hparams, make, steps, without_guide))
-                yield dreamt(in_model("CEM", dyna, hparams, rounds(config), steps, without_guide))
-        for count in sizes.simulations:
-            search = replace(options.mcts, simulations=count)
-            make = partial(muzero, config=search)
-            steps = count * (1 + depth)
-            told = Guide(value=rollout_value(env, env_params, depth, discount))
-            yield in_true("MCTS", env, env_params, make, steps, always(told))
-            guided = random_episodes(dyna, discount, depth)
-            yield dreamt(in_model("MCTS", dyna, hparams, make, steps, guided))
-            if count == max(sizes.simulations):
-                make = partial(gumbel_muzero, config=search)
-                yield dreamt(in_model("MCTS, Gumbel", dyna, hparams, make, steps, guided))
+    def random_episodes(env: Any) -> MakeGuide:
+        return lambda state, hparams, params: planners.Guide(
+            value=planners.rollout_value(env, params, depth, discount)
+        )
 
-    yield ground, tried()
+    yield policy(dyna, options.hparams.agent)
+    for count in sizes.candidates:
+        shooting = replace(options.mpc, candidates=count)
+        for world, env in worlds(dyna).items():
+            plan, steps = planners.random_shooting(env, shooting), count * shooting.horizon
+            yield of("MPC", world, steps, plan, without_guide)
+    for count in sizes.simulations:
+        search = replace(options.mcts, simulations=count)
+        for world, env in worlds(dyna).items():
+            plan, steps = planners.muzero(env, search), count * (1 + depth)
+            yield of("MCTS", world, steps, plan, random_episodes(env))
 
 
-def maze_ground(
-    key: jax.Array, sizes: Sizes, wanted: Collection[str]
-) -> Iterator[tuple[Ground, Iterator[Contender]]]:
+def maze_ground(key: jax.Array, sizes: Sizes) -> Grounds:
     """The Maze, and what was learned there by `dyna` of the ``lean`` preset, stage by stage."""
     key_learn, key_play = jax.random.split(key)
     size, obstacles, steps = sizes.board
@@ -173,7 +107,7 @@ def maze_ground(
     world = Maze(size, obstacles)
 
     def best(start: Any, params: Any) -> jax.Array:
-        return solve_maze(world, start.env, params, steps).best_return
+        return planners.solve_maze(world, start.env, params, steps).best_return
 
     stages = learned(maze.MAZE.arms(options)["dyna"](), key_learn, sizes.runs[1], after)
     dyna = maze.arms.parts(world, agent_of(options), model_of(options))
@@ -187,33 +121,74 @@ def maze_ground(
 
 def maze_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Contender]:
     """Who is compared in the Maze."""
-    env: Any = dyna.env
-    hparams, env_params = options.hparams, options.hparams.env
-    values = by_values(agent_of(options))
+    discount, values = options.hparams.agent.discount, by_values(agent_of(options))
+    far = planners.ShootingConfig(int(FAR * 2 * (options.size - 1)), drift=3.0)
+    of = partial(planner, dyna, options.hparams)
 
-    def told(state: DynaState) -> Guide:
-        return values(state, hparams, None)
-
-    discount = options.hparams.agent.discount
-    far = ShootingConfig(int(FAR * 2 * (options.size - 1)), drift=3.0)
-    near = replace(options.mpc, discount=discount)
-
-    yield policy(dyna, greedy(hparams.agent))
+    yield policy(dyna, greedy(options.hparams.agent))
     for count in sizes.far_candidates:
-        make: Any = partial(random_shooting, config=replace(far, candidates=count))
-        yield in_true("MPC to the goal", env, env_params, make, count * far.horizon, untold)
+        plan = planners.random_shooting(dyna.env, replace(far, candidates=count))
+        yield of("MPC to the goal", "true", count * far.horizon, plan, without_guide)
     for count in sizes.candidates:
-        config = replace(near, candidates=count)
-        make, steps = partial(random_shooting, config=config), count * near.horizon
-        yield in_true("MPC, learned values", env, env_params, make, steps, told)
-        yield in_model("MPC, learned values", dyna, hparams, make, steps, values)
-        if count == max(sizes.candidates):
-            yield in_model("CEM, learned values", dyna, hparams, rounds(config), steps, values)
+        near = replace(options.mpc, candidates=count, discount=discount)
+        for world, env in worlds(dyna).items():
+            plan, steps = planners.random_shooting(env, near), count * near.horizon
+            yield of("MPC, learned values", world, steps, plan, values)
     for count in sizes.simulations:
-        search = SearchConfig(count, discount=discount)
-        make = partial(muzero, config=search)
-        yield in_true("MCTS, learned values", env, env_params, make, count, told)
-        yield in_model("MCTS, learned values", dyna, hparams, make, count, values)
-        if count == max(sizes.simulations):
-            make = partial(gumbel_muzero, config=search)
-            yield in_model("MCTS, Gumbel, learned values", dyna, hparams, make, count, values)
+        search = planners.SearchConfig(count, discount=discount)
+        for world, env in worlds(dyna).items():
+            yield of("MCTS, learned values", world, count, planners.muzero(env, search), values)
+
+
+def worlds(dyna: Dyna) -> dict[str, Any]:
+    """What can be planned in."""
+    assert dyna.dream is not None
+    return {"true": dyna.env, "learned": dyna.dream.env}
+
+
+def policy(dyna: Dyna, hparams: Any) -> Contender:
+    """The forward pass of what a run has learned, with these hparams of the agent."""
+
+    def act(state: DynaState, obs: jax.Array, true_state: Any, key: jax.Array) -> jax.Array:
+        return dyna.agent.act(state.agent, obs, key, hparams)
+
+    return Contender("policy", "-", 0, act)
+
+
+def planner(
+    dyna: Dyna, hparams: DynaHParams, who: str, world: str, steps: int, plan: planners.Planner,
+    guide: MakeGuide,
+) -> Contender:  # fmt: skip
+    """Plans in the true environment from the true state, in the learned one from what is seen."""
+    decide = on_model(dyna, plan, guide)
+
+    def act(state: DynaState, obs: jax.Array, true_state: Any, key: jax.Array) -> jax.Array:
+        if world == "learned":
+            return decide(state, obs, key, hparams)
+        told = guide(state, hparams, hparams.env)
+        return plan(hparams.env, obs, true_state, key, told).action
+
+    return Contender(who, world, steps, act)
+
+
+def learned(arm: Arm, key: jax.Array, runs: int, after: Sequence[int]) -> list[DynaState]:
+    """So many runs of the arm, ``[runs, ...]``, after each of so many real episodes, in order;
+    without keys: nothing follows.
+    """
+    ends = jnp.array([(0, *after[:-1]), after]).T
+
+    def whole(key: jax.Array, hparams: Any) -> Any:
+        def episode(number: jax.Array, state: Any) -> Any:
+            return arm.work.step(state, None, number, hparams)[0]
+
+        def stage(state: Any, end: jax.Array) -> tuple[Any, Any]:
+            state = jax.lax.fori_loop(end[0], end[1], episode, state)
+            return state, replace(state, key=None)
+
+        return jax.lax.scan(stage, arm.work.init(key, hparams), ends)[1]
+
+    hparams = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], arm.hparams)
+    run = jax.jit(over_runs(whole, 1))
+    states = [run(one[None], hparams) for one in jax.random.split(key, runs)]
+    stages = jax.tree.map(lambda *leaves: jnp.concatenate(leaves).swapaxes(0, 1), *states)
+    return [jax.tree.map(itemgetter(number), stages) for number in range(len(after))]
