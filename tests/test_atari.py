@@ -17,7 +17,7 @@ from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.experiments.pong import PARTS
-from jaxdyna.experiments.pong.games import scores
+from jaxdyna.experiments.pong.arms import scores
 from jaxdyna.rollout import rollout
 
 ONE_NO_OP = 1

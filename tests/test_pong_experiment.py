@@ -16,14 +16,19 @@ from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette, Pong, PongPar
 from jaxdyna.envs.pong_rules import advance
 from jaxdyna.envs.pong_screen import mixture_of, picture_of, shares_of
 from jaxdyna.experiments.engine import main
-from jaxdyna.experiments.pong import PARTS, atari, frames
+from jaxdyna.experiments.pong import PARTS, frames
 from jaxdyna.experiments.pong.arms import arms, points
-from jaxdyna.experiments.pong.atari import middle_row
-from jaxdyna.experiments.pong.colours import in_channels, in_colours
-from jaxdyna.experiments.pong.data import Player, choose, play, take, view_of
+from jaxdyna.experiments.pong.data import Player, choose, collect, play, screens, states, take
 from jaxdyna.experiments.pong.guided import Guided, GuidedParams, read_state
 from jaxdyna.experiments.pong.options import TUNED
-from jaxdyna.experiments.pong.world import OBJECTS, game_of, params_of
+from jaxdyna.experiments.pong.world import (
+    OBJECTS,
+    game_of,
+    in_channels,
+    in_colours,
+    middles,
+    params_of,
+)
 from jaxdyna.experiments.report.sections import equal_episodes
 from jaxdyna.experiments.report.summaries import comparisons
 from jaxdyna.fields import changed
@@ -33,7 +38,7 @@ from jaxdyna.types import DynamicsModel, Prediction, Transition
 
 OPTIONS = frames.PongFrames(steps=60, horizon=10)
 GAME, PARAMS = game_of(OPTIONS), params_of(OPTIONS, PongParams())
-VIEW = view_of(GAME)
+SOURCE = states(GAME, PARAMS)
 
 
 def run(*argv):
@@ -46,7 +51,7 @@ def todays(command):
 
 @pytest.fixture(scope="module")
 def played():
-    return jax.jit(lambda key: play(GAME, PARAMS, 60, 4, True, key))(jax.random.key(3))
+    return jax.jit(lambda key: play(SOURCE, 60, 4, True, key))(jax.random.key(3))
 
 
 def test_players_follow_the_ball():
@@ -65,14 +70,14 @@ def test_players_follow_the_ball():
 
 def test_kept_episodes_look_as_the_stacked_game_does(played):
     """Frames are drawn when they are needed, and are the same as if they had been kept."""
-    first = take(VIEW, played, jnp.array([0]), jnp.array([0]))
+    first = take(SOURCE, played, jnp.array([0]), jnp.array([0]))
     obs, _ = FrameStack(GAME).reset(jax.random.key(0), PARAMS)
     np.testing.assert_array_equal(first.obs[0], obs)
     times = jnp.arange(20, 40)
-    later = take(VIEW, played, jnp.ones_like(times), times)
+    later = take(SOURCE, played, jnp.ones_like(times), times)
     np.testing.assert_array_equal(later.next_obs[:-1], later.obs[1:])
     assert not later.truncated.any()
-    assert take(VIEW, played, jnp.array([0]), jnp.array([59])).truncated.all()
+    assert take(SOURCE, played, jnp.array([0]), jnp.array([59])).truncated.all()
 
     @jax.jit
     def follows(time):
@@ -91,7 +96,7 @@ def test_a_state_read_off_frames_shows_the_newest_of_them(played):
 
     @jax.jit
     def read(episode, time, key):
-        stack = take(VIEW, played, episode[None], time[None]).obs[0]
+        stack = take(SOURCE, played, episode[None], time[None]).obs[0]
         state = read_state(GAME, stack, PARAMS, key)
         true = jax.tree.map(lambda leaf: leaf[episode, time], played.world)
         shown = (GAME.frame(state) == stack[..., -3:]).all()
@@ -127,7 +132,7 @@ def test_a_point_that_may_have_been_counted_is_counted_once():
 
 def test_only_the_chosen_object_is_the_truth(played):
     """Beside a model that sees nothing; the oracle's frames and rewards are the game's."""
-    some = take(VIEW, played, jnp.array([0, 1]), jnp.array([10, 11]))
+    some = take(SOURCE, played, jnp.array([0, 1]), jnp.array([10, 11]))
     episodes = jax.tree.map(lambda leaf: leaf[:, None], some)
     example = jax.tree.map(lambda leaf: leaf[0], some)
     held = frame_replay.add(frame_replay.init(8, 4, example), episodes)
@@ -159,10 +164,10 @@ def test_only_the_chosen_object_is_the_truth(played):
 
 def test_objects_are_told_by_their_colours(played):
     """Exactly on the game's frames; of a pale one there is less."""
-    coloured = view_of(Pong(4, 4, Palette()))
+    coloured = states(Pong(4, 4, Palette()), PARAMS)
     world = jax.tree.map(lambda leaf: leaf[:, 5::9], played.world)
     frame = jax.vmap(jax.vmap(coloured.frame))(world)
-    masks = jax.vmap(jax.vmap(VIEW.frame))(world) > 127
+    masks = jax.vmap(jax.vmap(SOURCE.frame))(world) > 127
     np.testing.assert_array_equal(shares_of(frame, Palette()), masks)
     np.testing.assert_array_equal(picture_of(masks, Palette()), frame)
     pale = mixture_of(masks / 3, Palette())
@@ -171,8 +176,8 @@ def test_objects_are_told_by_their_colours(played):
 
 def test_a_model_of_channels_sees_the_same_in_colours(played):
     """Its predictions are painted, and what it learns from is the game's frames in channels."""
-    coloured, at = view_of(Pong(4, 4, Palette())), (jnp.array([0, 1]), jnp.array([10, 20]))
-    plain, painted = take(VIEW, played, *at), take(coloured, played, *at)
+    coloured, at = states(Pong(4, 4, Palette()), PARAMS), (jnp.array([0, 1]), jnp.array([10, 20]))
+    plain, painted = take(SOURCE, played, *at), take(coloured, played, *at)
     np.testing.assert_array_equal(in_channels(painted.obs, Palette()), plain.obs)
 
     def predict(params, obs, action, key):
@@ -227,21 +232,22 @@ def test_points_are_counted_for_either_side():
 
 def test_a_middle_row_is_told_from_a_small_frame(played):
     state = jax.tree.map(lambda leaf: leaf[0, 12], played.world)
-    row, seen = middle_row(GAME.frame(state)[..., OBJECTS["own paddle"]] > 0, 4)
-    assert seen and abs(float(row) - (int(state.own) + 8)) <= 3
+    row = middles(GAME.frame(state) > 0, 0, scale=4)[OBJECTS["own paddle"]]
+    assert abs(float(row) - (int(state.own) + 8)) <= 3
 
 
 def test_the_real_game_is_collected():
     pytest.importorskip("ale_py")
-    real_view = atari.view_in(CHANNELS)
-    real = atari.collect(AtariPong(4, 4), 20, 2, True, jax.random.key(0))
+    source = screens(AtariPong(4, 4), 20)
+    real = collect(source, 20, 2, True, jax.random.key(0))
+    assert not real.over.any()
     assert real.world.shape == (2, 21, 40, 40) and real.action.shape == (2, 20)
-    seen = np.asarray(real_view.frame(jnp.array(real.world)))
+    seen = np.asarray(source.frame(jnp.array(real.world)))
     assert set(np.unique(seen)) == {0, 255}
-    np.testing.assert_array_equal(atari.packed(jnp.array(seen)), real.world)
+    np.testing.assert_array_equal(source.keep(jnp.array(seen), None), real.world)
     sizes = seen[:, -1].any((1, 2))
     assert sizes[:, OBJECTS["own paddle"]].all() and sizes[:, OBJECTS["opponent"]].all()
-    some = take(real_view, jax.tree.map(jnp.array, real), jnp.array([1]), jnp.array([19]))
+    some = take(source, jax.tree.map(jnp.array, real), jnp.array([1]), jnp.array([19]))
     np.testing.assert_array_equal(some.next_obs[0, ..., -3:], seen[1, 20])
 
 

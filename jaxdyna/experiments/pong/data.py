@@ -4,18 +4,20 @@ An episode is kept as what its frames are drawn from, states of the pure game or
 one, so that a transition is put together only when it is drawn.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.envs import Pong, PongParams, PongState
+from jaxdyna.envs import CHANNELS, AtariParams, AtariPong, Pong, PongParams, PongState
 from jaxdyna.envs.pong_rules import BALL, PADDLE
-from jaxdyna.experiments.pong.world import NUM_FRAMES
+from jaxdyna.envs.pong_screen import picture_of
+from jaxdyna.experiments.engine import InputError
+from jaxdyna.experiments.pong.world import NUM_FRAMES, OBJECTS, middles
 from jaxdyna.types import Key, Transition
 
 NEAR = 10
@@ -23,32 +25,83 @@ NEAR = 10
 FARTHEST_AIM = 9
 FIRES = np.array([1, 1, 4, 5, 4, 5])
 """Each action with the button pressed."""
+BITS = np.arange(3, dtype=np.uint8)
+COPIES = 32
+"""Of the real game, played side by side."""
+
+
+class Source(NamedTuple):
+    """A game whose frames are learned, and what is kept of a moment of it.
+
+    Attributes:
+        env: the game.
+        params: its params.
+        keep: ``(frame, state) -> moment``.
+        rows: from a moment to the rows, in the game's pixels, of the ball's middle and of the own
+            paddle's, and whether there is a ball.
+        frame: to the frame, uint8 ``[H, W, 3]``.
+        objects: to what is there, bool ``[H, W, 3]``: opponent, own paddle and ball.
+    """
+
+    env: Any
+    params: Any
+    keep: Callable[[jax.Array, Any], Any]
+    rows: Callable[[Any], tuple[jax.Array, jax.Array, jax.Array]]
+    frame: Callable[[Any], jax.Array]
+    objects: Callable[[Any], jax.Array]
+
+
+def states(game: Pong, params: PongParams) -> Source:
+    """The pure game, kept as its states."""
+
+    def rows(state: PongState) -> Any:
+        return state.ball[0] + BALL[0] / 2, state.own + PADDLE[0] / 2, state.wait == 0
+
+    def objects(state: PongState) -> jax.Array:
+        masks = game.object_masks(state)
+        return jnp.stack([masks.opponent, masks.own, masks.ball], axis=-1)
+
+    return Source(game, params, lambda frame, state: state, rows, game.frame, objects)
+
+
+@cache
+def screens(game: AtariPong, steps: int) -> Source:
+    """The real game, kept as a byte a pixel, a bit an object: a thousand episodes of 40x40 are 0.3
+    GB. One object, and so one program, for the same settings.
+    """
+
+    def keep(frame: jax.Array, state: Any) -> jax.Array:
+        return ((frame > 127).astype(jnp.uint8) << BITS).sum(-1, dtype=jnp.uint8)
+
+    def objects(moment: jax.Array) -> jax.Array:
+        return ((moment[..., None] >> BITS) & 1).astype(bool)
+
+    def rows(moment: jax.Array) -> Any:
+        there = objects(moment)
+        row = middles(there, 0, game.scale)
+        return row[OBJECTS["ball"]], row[OBJECTS["own paddle"]], there[..., OBJECTS["ball"]].any()
+
+    def frame(moment: jax.Array) -> jax.Array:
+        return picture_of(objects(moment), game.palette)
+
+    env = replace(game, palette=CHANNELS)
+    return Source(env, AtariParams(steps), keep, rows, frame, objects)
 
 
 class Played(NamedTuple):
     """Whole episodes of equal length.
 
     Attributes:
-        world: what frames are drawn from, leaves ``[N, T + 1, ...]``.
+        world: moments, leaves ``[N, T + 1, ...]``.
         action: int32 ``[N, T]``.
         reward: ``[N, T]``.
+        over: whether a game ended in it, bool ``[N]``.
     """
 
     world: Any
     action: jax.Array
     reward: jax.Array
-
-
-class View(NamedTuple):
-    """How a moment of `Played.world` is seen.
-
-    Attributes:
-        frame: to the frame, uint8 ``[H, W, 3]``.
-        objects: to what is there, bool ``[H, W, 3]``: opponent, own paddle and ball.
-    """
-
-    frame: Callable[[Any], jax.Array]
-    objects: Callable[[Any], jax.Array]
+    over: jax.Array
 
 
 class Player(NamedTuple):
@@ -64,23 +117,8 @@ class Player(NamedTuple):
     aim: jax.Array
 
 
-def draw_player(key: Key, mixed: jax.Array | bool) -> Player:
-    """A random player, or of the mixed policy one whose skill is anywhere from 0 to 1."""
-    key_skill, key_aim = jax.random.split(key)
-    skill = jnp.where(mixed, jax.random.uniform(key_skill), 0.0)
-    return Player(skill, jax.random.uniform(key_aim, minval=-FARTHEST_AIM, maxval=FARTHEST_AIM))
-
-
 def choose(player: Player, ball: jax.Array, own: jax.Array, seen: jax.Array, key: Key) -> jax.Array:
-    """An action, int32.
-
-    Args:
-        player: who acts.
-        ball: the row of the ball's middle, in the game's pixels.
-        own: that of the own paddle's.
-        seen: bool, whether there is a ball.
-        key: random key.
-    """
+    """A player's action, int32; ``ball``, ``own`` and ``seen`` are as in `Source.rows`."""
     key_whether, key_any, key_fire = jax.random.split(key, 3)
     away = ball - own - player.aim
     follow = jnp.where(jnp.abs(away) < NEAR, 0, jnp.where(away > 0, 3, 2))
@@ -91,55 +129,60 @@ def choose(player: Player, ball: jax.Array, own: jax.Array, seen: jax.Array, key
     return jnp.where(skilled, follow, anything).astype(jnp.int32)
 
 
-def play(
-    game: Pong, params: PongParams, steps: int, episodes: int, mixed: jax.Array | bool, key: Key
-) -> Played:
-    """Episodes of the pure game by the random or the mixed policy."""
+def play(source: Source, steps: int, episodes: int, mixed: Any, key: Key) -> Played:
+    """Episodes, each from a new game's start, of the random policy, or of the mixed one, whose
+    players have any skill from 0 to 1.
+    """
 
     def one(key: Key) -> Played:
         key_player, key_reset, key_steps = jax.random.split(key, 3)
-        player = draw_player(key_player, mixed)
-        _, first = game.reset(key_reset, params)
+        key_skill, key_aim = jax.random.split(key_player)
+        skill = jnp.where(mixed, jax.random.uniform(key_skill), 0.0)
+        aim = jax.random.uniform(key_aim, minval=-FARTHEST_AIM, maxval=FARTHEST_AIM)
+        frame, state = source.env.reset(key_reset, source.params)
+        first = source.keep(frame, state)
 
-        def step(carry: tuple[PongState, Key], nothing: None) -> Any:
-            del nothing
-            state, key = carry
+        def step(carry: Any, nothing: None) -> Any:
+            moment, state, key = carry
             key, key_act, key_step = jax.random.split(key, 3)
-            ball, own = state.ball[0] + BALL[0] / 2, state.own + PADDLE[0] / 2
-            action = choose(player, ball, own, state.wait == 0, key_act)
-            _, new, reward, *_ = game.step(key_step, state, action, params)
-            return (new, key), (new, action, reward)
+            action = choose(Player(skill, aim), *source.rows(moment), key_act)
+            frame, state, reward, over, *_ = source.env.step(key_step, state, action, source.params)
+            moment = source.keep(frame, state)
+            return (moment, state, key), (moment, action, reward, over)
 
-        states, action, reward = jax.lax.scan(step, (first, key_steps), length=steps)[1]
-        world = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, states)
-        return Played(world, action, reward)
+        rest, action, reward, over = jax.lax.scan(step, (first, state, key_steps), length=steps)[1]
+        world = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, rest)
+        return Played(world, action, reward, over.any())
 
     return jax.vmap(one)(jax.random.split(key, episodes))
 
 
-def view_of(game: Pong) -> View:
-    """How states of the pure game are seen."""
-
-    def objects(state: PongState) -> jax.Array:
-        masks = game.object_masks(state)
-        return jnp.stack([masks.opponent, masks.own, masks.ball], axis=-1)
-
-    return View(game.frame, objects)
+_play = jax.jit(play, static_argnums=(0, 1, 2))
 
 
-def take(view: View, played: Played, episode: jax.Array, time: jax.Array) -> Transition:
-    """Transitions ``[B]``, each with its stack of frames; an episode begins with its first frame
-    repeated.
+def collect(source: Source, steps: int, episodes: int, mixed: bool, key: Key) -> Played:
+    """The same by the host, so many copies of a game at a time.
 
-    Args:
-        view: how the episodes are seen.
-        played: the episodes.
-        episode: int ``[B]``.
-        time: step in it, int ``[B]``.
+    Raises:
+        InputError: where a game is over before an episode is.
+    """
+    parts, copies = [], min(COPIES, episodes)
+    for _ in range(-(-episodes // copies)):
+        key, key_now = jax.random.split(key)
+        played = jax.tree.map(np.asarray, _play(source, steps, copies, mixed, key_now))
+        if played.over.any():
+            raise InputError(f"--steps is {steps}: a game of 21 points ended within it, give fewer")
+        parts.append(played)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:episodes], *parts)
+
+
+def take(source: Source, played: Played, episode: jax.Array, time: jax.Array) -> Transition:
+    """The transitions ``[B]`` of these steps of these episodes, both int ``[B]``, each with its
+    stack of frames; an episode begins with its first frame repeated.
     """
     times = jnp.maximum(time[:, None] + jnp.arange(1 - NUM_FRAMES, 2), 0)
     seen = jax.tree.map(lambda leaf: leaf[episode[:, None], times], played.world)
-    frames = jax.vmap(jax.vmap(view.frame))(seen)
+    frames = jax.vmap(jax.vmap(source.frame))(seen)
 
     def stack(frames: jax.Array) -> jax.Array:
         moved = jnp.moveaxis(frames, 1, -2)
@@ -147,20 +190,7 @@ def take(view: View, played: Played, episode: jax.Array, time: jax.Array) -> Tra
 
     no = jnp.zeros(time.shape, bool)
     return Transition(
-        obs=stack(frames[:, :-1]),
-        action=played.action[episode, time],
-        reward=played.reward[episode, time],
-        next_obs=stack(frames[:, 1:]),
-        terminated=no,
-        truncated=time == played.action.shape[1] - 1,
-        mask=~no,
-    )
-
-
-def sample(view: View, played: Played, key: Key, size: int) -> Transition:
-    """Transitions ``[size]`` drawn with replacement."""
-    key_episode, key_time = jax.random.split(key)
-    episodes, steps = played.action.shape
-    episode = jax.random.randint(key_episode, (size,), 0, episodes)
-    time = jax.random.randint(key_time, (size,), 0, steps)
-    return take(view, played, episode, time)
+        obs=stack(frames[:, :-1]), action=played.action[episode, time],
+        reward=played.reward[episode, time], next_obs=stack(frames[:, 1:]), terminated=no,
+        truncated=time == played.action.shape[1] - 1, mask=~no,
+    )  # fmt: skip

@@ -2,8 +2,6 @@
 of it for the oracle, one object where the question is which object's error does the harm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -18,59 +16,48 @@ from jaxdyna import frame_replay
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState
 from jaxdyna.envs import Pong, PongParams, PongState, StackState
 from jaxdyna.envs.pong_rules import BALL, FIELD, LEFT, PADDLE, RIGHT, first_state
-from jaxdyna.experiments.pong.world import NUM_FRAMES, OBJECTS
+from jaxdyna.experiments.pong.world import NUM_FRAMES, OBJECTS, middles
 from jaxdyna.experiments.study.frames import Replayed, ReplayedParams
 from jaxdyna.models.evaluation import Predict
 from jaxdyna.types import Key
 
-OPPONENT_SIDE, OWN_SIDE = -1, 1
-
 
 def read_state(game: Pong, stack: jax.Array, params: PongParams, key: Key) -> PongState:
-    """A state that a stack of frames can show.
-
-    Args:
-        game: whose frames they are, an object a channel.
-        stack: uint8 ``[H, W, 3 * frames]``, the newest last.
-        params: the game's.
-        key: draws what cannot be told: where within its pixels an object is, when the opponent
-            rests, whether a ball that is out has been counted, how long a missing one stays away.
-
-    Returns:
-        The state at step 0, its points 0.
+    """A state that a stack of frames, uint8 ``[H, W, 3 * frames]``, an object a channel, can show,
+    at step 0 and without points. The key draws what cannot be told: where within its pixels an
+    object is, when the opponent rests, whether a ball that is out has been counted, how long a
+    missing one stays away.
     """
     keys = jax.random.split(key, 8)
     key_row, key_column, key_own, key_wait, key_opponent, key_clock, key_lost, key_over = keys
     frames = stack.reshape(*stack.shape[:2], NUM_FRAMES, 3) > 127
     opponent, own, ball = (frames[..., channel] for channel in range(3))
     scale, skip = game.scale, game.frame_skip
-    middle = jnp.stack([_middles(ball, axis) for axis in (0, 1)], -1) * scale
+    middle = jnp.stack([middles(ball, axis) for axis in (0, 1)], -1) * scale
     seen = ball.any((0, 1))
-    place = jnp.stack(
-        [
-            _first_pixel(ball[..., -1].any(1 - axis), BALL[axis], scale, key_ball)
-            for axis, key_ball in enumerate((key_row, key_column))
-        ]
-    )
-    velocity = _velocity(middle, seen, place, skip)
-    own_row = _first_pixel(own[..., -1].any(1), PADDLE[0], scale, key_own)
+
+    def first(masks: jax.Array, axis: int, size: tuple[int, int], key: Key) -> jax.Array:
+        return _first_pixel(masks[..., -1].any(1 - axis), size[axis], scale, key)
+
+    place = jnp.stack([first(ball, 0, BALL, key_row), first(ball, 1, BALL, key_column)])
+    own_row = first(own, 0, PADDLE, key_own)
     own_row = own_row + own_row % 2 * jnp.where(own_row % scale == scale - 1, -1, 1)  # shown evenly
-    moved = scale * jnp.diff(_middles(own, 0)[-2:])[0]
+    moved = scale * jnp.diff(middles(own, 0)[-2:])[0]
     out = (place[1] >= RIGHT) | (place[1] <= LEFT)  # shown for a frame before it counts, and after
     counted = seen[-1] & out & jax.random.bernoulli(key_over)
     in_play, last = seen[-1] & ~counted, middle[NUM_FRAMES - 1 - jnp.argmax(seen[::-1]), 1]
     lost = jnp.where(seen.any(), last > FIELD / 2, jax.random.bernoulli(key_lost))
-    towards = jnp.where(lost, OWN_SIDE, OPPONENT_SIDE)
-    empty = first_state(params)
-    delay = jnp.maximum(params.serve_delay, 1)
+    unserved = jnp.stack([0, jnp.where(lost, 1, -1)])  # towards who lost the point
+    velocity = jnp.where(in_play, _velocity(middle, seen, place, skip), unserved)
+    delay, empty = jnp.maximum(params.serve_delay, 1), first_state(params)
     waits = jnp.where(counted, delay, jax.random.randint(key_wait, (), 1, delay + 1))
     return replace(
         empty,
         ball=jnp.where(seen[-1], place, empty.ball),
-        ball_velocity=jnp.where(in_play, velocity, jnp.stack([0, towards])).astype(jnp.int32),
+        ball_velocity=velocity.astype(jnp.int32),
         own=own_row,
         own_target=(own_row + _on_its_way(moved, params.paddle_speed)).astype(jnp.float32),
-        opponent=_first_pixel(opponent[..., -1].any(1), PADDLE[0], scale, key_opponent),
+        opponent=first(opponent, 0, PADDLE, key_opponent),
         wait=jnp.where(in_play, 0, waits).astype(jnp.int32),
         clock=skip * jax.random.randint(key_clock, (), 0, jnp.maximum(params.opponent_rest, 1)),
     )
@@ -82,19 +69,11 @@ def _first_pixel(lit: jax.Array, length: int, scale: int, key: Key) -> jax.Array
     """
     cells = lit.shape[0]
     first, last = jnp.argmax(lit), cells - 1 - jnp.argmax(lit[::-1])
-    from_last = scale * last - length + 1
+    from_last, within_first = scale * last - length + 1, scale * first + scale - 1
     low = jnp.where(first == 0, from_last, jnp.maximum(scale * first, from_last))
-    within_first = scale * first + scale - 1
     high = jnp.where(last == cells - 1, within_first, from_last + scale - 1)
     high = jnp.maximum(jnp.minimum(within_first, high), low)
     return jax.random.randint(key, (), low, high + 1)
-
-
-def _middles(masks: jax.Array, axis: int) -> jax.Array:
-    """Mean row or column of a thing in each frame of ``[H, W, frames]``, in cells: ``[frames]``."""
-    profile = masks.sum(1 - axis)
-    numbers = jnp.arange(profile.shape[0]) + 0.5
-    return numbers @ profile / jnp.maximum(profile.sum(0), 1)
 
 
 def _velocity(middle: jax.Array, seen: jax.Array, place: jax.Array, skip: int) -> jax.Array:
@@ -140,7 +119,7 @@ class Guided(Replayed):
 
     read: Callable[..., PongState] = read_state
     predict: Predict | None = None
-    truth: tuple[int, ...] = tuple(OBJECTS.values())
+    truth: tuple[int, ...] = ()
 
     def reset(self, key: Key, params: Any) -> tuple[jax.Array, StackState]:
         """Draws a real stack and reads the state off it."""
@@ -153,27 +132,25 @@ class Guided(Replayed):
     ) -> tuple[jax.Array, StackState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
         """One step of both; the reward is the model's, the oracle's the game's."""
         key_game, key_predict = jax.random.split(key)
-        answer = self.real.env.step(key_game, state.env, action, params.env)
-        frame, game, reward, terminated, truncated, _ = answer
+        obs, new, reward, terminated, truncated, _ = super().step(key_game, state, action, params)
         if self.predict is not None:
-            prediction = self.predict(params.model, state.obs, action, key_predict)
-            believed = prediction.next_obs[..., -frame.shape[-1] :]
-            true = np.isin(np.arange(frame.shape[-1]), self.truth)
-            frame, reward = jnp.where(true, frame, believed), prediction.reward
-        obs = jnp.concatenate([state.obs[..., frame.shape[-1] :], frame], axis=-1)
-        return obs, StackState(game, obs), reward, terminated, truncated, {}
+            said = self.predict(params.model, state.obs, action, key_predict)
+            true = np.isin(np.arange(obs.shape[-1]) % len(OBJECTS), self.truth)
+            obs, reward = jnp.where(true, obs, said.next_obs), said.reward
+        return obs, replace(new, obs=obs), reward, terminated, truncated, {}
 
 
 @cache
-def guided(dyna: Dyna, truth: tuple[int, ...] | None) -> Dream:
-    """Dreams of the same model with the true game's objects in these channels; None: all of the
-    true game's.
+def guided(dyna: Dyna, things: tuple[str, ...] = ()) -> Dream:
+    """Dreams of the same model with these of the true game's objects; without any, all of the true
+    game's, rewards as well.
     """
-    predict = dyna.model.predict if truth is not None and dyna.model is not None else None
+    predict = dyna.model.predict if things and dyna.model else None
     env: Any = dyna.env
 
     def params(state: DynaState, hparams: DynaHParams) -> GuidedParams:
-        weights = state.model.params if predict is not None else None
+        weights = state.model.params if predict else None
         return GuidedParams(hparams.env, state.replay, hparams.env.max_steps, weights)
 
-    return Dream(Guided(env, predict=predict, truth=truth or tuple(OBJECTS.values())), params)
+    truth = tuple(OBJECTS[thing] for thing in things)
+    return Dream(Guided(env, predict=predict, truth=truth), params)

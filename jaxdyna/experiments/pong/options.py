@@ -1,7 +1,5 @@
 """The settings of learning to play."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
@@ -12,13 +10,13 @@ from jaxdyna.experiments.pong.world import GameOptions, params_of
 from jaxdyna.fields import LARGEST, SettingError, changed, setting
 from jaxdyna.models import PixelHParams
 
+MAIN_ARMS = ("model_free", "dyna_l2", "dyna_adversarial", "dyna")
 TRUE_OBJECTS = {
     "true_ball": ("ball",),
     "true_own": ("own paddle",),
     "true_opponent": ("opponent",),
     "true_frames": ("ball", "own paddle", "opponent"),
 }
-NEED_STATE = ("oracle", *TRUE_OBJECTS)
 GUIDED_SKIP = 4
 
 
@@ -37,31 +35,21 @@ class PongOptions(GameOptions):
         "hparams.env.serve_delay": "--serve-delay",
     }
 
-    arms: tuple[str, ...] = setting(
-        ("model_free", "dyna_l2", "dyna_adversarial", "dyna"), "what is played", everyday=True
-    )
+    arms: tuple[str, ...] = setting(MAIN_ARMS, "what is played", everyday=True)
     episodes: int = setting(200, "real episodes of a run at the most", at_least=1, everyday=True)
     stop_after_solved: int | None = setting(
-        20, "real episodes that a run plays on once it has solved; None plays all", at_least=0,
-        everyday=True,
-    )  # fmt: skip
+        20, "real episodes played on once solved; None plays all", at_least=0, everyday=True
+    )
     look: Literal["places", "glimpses", "convolutions"] = setting(
         "places", "what the agent's network takes of its frames: where each object is, glimpses of "
         "it, or what convolutions see; rgb frames need the last", everyday=True,
     )  # fmt: skip
     glimpse: int = setting(7, "pixels a side of the agent's glimpses, odd", at_least=1)
-    dropout: float = setting(
-        0.2, "share of the features that a gradient step of our model does without",
-        at_least=0, below=1,
-    )  # fmt: skip
+    dropout: float = setting(0.2, "share of our model's features that a gradient step does without",
+                             at_least=0, below=1)  # fmt: skip
     weight_decay: float = setting(0.3, "of AdamW, for our model", at_least=0)
-    reward_weight: float = setting(
-        5.0, "weight of the reward's squared error beside the frame's loss, in the paper's models",
-        at_least=0,
-    )  # fmt: skip
-    paper_rate: float = setting(
-        4e-3, "Adam's learning rate, in the paper's models and the discriminator", above=0
-    )
+    reward_weight: float = setting(5.0, "of the reward's error in the paper's models", at_least=0)
+    paper_rate: float = setting(4e-3, "Adam's in the paper's models and the discriminator", above=0)
     dyna: DynaConfig = setting(
         factory=lambda: DynaConfig(
             num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
@@ -90,7 +78,7 @@ class PongOptions(GameOptions):
                 "look", f"is {self.look}, which needs each object in a channel of its own: choose "
                 "--look convolutions, or leave out --frames rgb",
             )  # fmt: skip
-        named = [arm for arm in self.arms if arm in NEED_STATE]
+        named = [arm for arm in self.arms if arm in ("oracle", *TRUE_OBJECTS)]
         if named and not self.readable:
             raise SettingError(
                 "arms", f"{' '.join(named)} read the pure game's state off its frames: leave out, "
@@ -103,8 +91,7 @@ class PongOptions(GameOptions):
     @property
     def readable(self) -> bool:
         """Whether the game's state can be read off its frames."""
-        seen = (self.game, self.frames, self.frame_skip)
-        return seen == ("jax", "objects", GUIDED_SKIP)
+        return (self.game, self.frames, self.frame_skip) == ("jax", "objects", GUIDED_SKIP)
 
     def resolved(self) -> Self:
         """An episode is so many steps of a game that nobody wins."""

@@ -1,18 +1,21 @@
 """The game as both parts play and see it, and the models of its frames."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import jax
+import jax.numpy as jnp
+
+from jaxdyna import models
 from jaxdyna.envs import CHANNELS, AtariPong, Palette, Pong, PongParams
 from jaxdyna.envs.pong_rules import FASTEST
+from jaxdyna.envs.pong_screen import picture_of
 from jaxdyna.experiments.engine import Options
 from jaxdyna.experiments.frames.options import decayed_adam
 from jaxdyna.fields import SettingError, setting
 from jaxdyna.losses import PixelLoss, l2
-from jaxdyna.models import AdversaryConfig, PixelConfig, RectangleConfig
 from jaxdyna.networks import Discriminator, EncoderDecoder, Patched
+from jaxdyna.types import DynamicsModel
 
 PALETTES = {"objects": CHANNELS, "rgb": Palette()}
 """The colours of each kind of frame."""
@@ -23,8 +26,7 @@ SERVE_DELAY = 5
 """Frames of the pure game after which a ball is served, where nothing else is said."""
 ENDLESS = 1_000_000
 """Points that nobody comes to: an episode is so many steps."""
-GAMES_SAID = {"jax": "the pure game", "ale": "the Atari 2600 game"}
-SEEN_SAID = {"objects": "each object in a channel of its own", "rgb": "in the game's colours"}
+GAMES_SAID = {"jax": "the pure game", "ale": "the Atari 2600 game (ALE/Pong-v5, no sticky actions)"}
 COLOURS_SAID = "Red is the opponent, green the own paddle, blue the ball."
 
 
@@ -33,19 +35,14 @@ class GameOptions(Options):
     """What is played, how it is seen, and what its models are."""
 
     game: Literal["jax", "ale"] = setting(
-        "jax", "jax: the pure game, objects exact; ale: the Atari 2600 game, objects by their "
-        "colours (the atari extra)", everyday=True,
-    )  # fmt: skip
+        "jax", "jax: the pure game; ale: the Atari 2600 game (the atari extra)", everyday=True
+    )
     frames: Literal["objects", "rgb"] = setting(
-        "objects", "objects: each object in a channel of its own; rgb: in the game's colours, as "
-        "in the paper", everyday=True,
-    )  # fmt: skip
+        "objects", "objects: each in a channel; rgb: colours, as in the paper", everyday=True
+    )
     seeds: int = setting(6, "runs of every arm", at_least=1, everyday=True)
     steps: int = setting(200, "steps of an episode", at_least=1, everyday=True)
-    scale: int = setting(
-        4, "the game's pixels in a pixel of the frame, a side, a divisor of 160: 4 gives 40x40",
-        at_least=2,
-    )  # fmt: skip
+    scale: int = setting(4, "the game's pixels a pixel, a side; a divisor of 160", at_least=2)
     frame_skip: int = setting(4, "the game's frames in a step", at_least=1)
     serve_delay: int = setting(
         SERVE_DELAY, "the pure game's frames from a point to the next serve (63 in the real game, "
@@ -54,18 +51,14 @@ class GameOptions(Options):
     )  # fmt: skip
     patch: int = setting(4, "pixels a side of the patches that Fig. 4 works on", at_least=1)
     widths: tuple[int, int, int] = setting((32, 32, 32), "channels of its convolutions", at_least=1)
-    kernels: tuple[int, int, int] = setting((4, 3, 3), "patches a side of their kernels",
-                                            at_least=1)  # fmt: skip
+    kernels: tuple[int, int, int] = setting((4, 3, 3), "their sizes in patches a side", at_least=1)
     dense: int = setting(512, "width of its dense layer", at_least=1)
     adversarial_weight: float = setting(
         0.1, "the paper's lambda, beside half the squared error summed over a frame", at_least=0
     )
-    hidden: tuple[int, ...] = setting((256, 256), "widths of the perceptrons of our model",
-                                      at_least=1)  # fmt: skip
-    dropout: float = setting(
-        0.1, "share of the features that a gradient step of our model does without",
-        at_least=0, below=1,
-    )  # fmt: skip
+    hidden: tuple[int, ...] = setting((256, 256), "widths of our model's perceptrons", at_least=1)
+    dropout: float = setting(0.1, "share of its features that a gradient step does without",
+                             at_least=0, below=1)  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -85,35 +78,71 @@ def game_of(options: GameOptions) -> Pong | AtariPong:
     return kind(options.frame_skip, options.scale, PALETTES[options.frames])
 
 
+def seen_said(options: GameOptions) -> str:
+    """How it is seen, in words."""
+    height, width, _ = game_of(options).frame_shape
+    seen = {"objects": "each object in a channel of its own", "rgb": "in the game's colours"}
+    told = ", objects told by their colours" if options.game == "ale" else ""
+    return f"{height}x{width} pixels of the field, {seen[options.frames]}{told}"
+
+
 def params_of(options: GameOptions, given: PongParams) -> PongParams:
     """The pure game's: episodes of so many steps, however many points; the rest as given."""
-    return replace(
-        given, points_to_win=ENDLESS, max_steps=options.steps,
-        first_serve_delay=options.serve_delay, serve_delay=options.serve_delay,
-    )  # fmt: skip
+    delays = dict.fromkeys(("first_serve_delay", "serve_delay"), options.serve_delay)
+    return replace(given, points_to_win=ENDLESS, max_steps=options.steps, **delays)
 
 
 def paper_model(
     options: GameOptions, weight_decay: float = 0.0, loss: PixelLoss = l2, **more: Any
-) -> PixelConfig:
+) -> models.PixelConfig:
     """Fig. 4 on patches. Frames are in shades, and count as lit from one half on."""
     coder = EncoderDecoder(3 * options.patch**2, options.widths, options.kernels, options.dense)
     network, optimizer = Patched(coder, options.patch), decayed_adam(weight_decay, 0.5)
     shades = {"threshold": 0.5, "reward": None, "shades": True}
-    return PixelConfig(network, loss, optimizer=optimizer, **shades | more)
+    return models.PixelConfig(network, loss, optimizer=optimizer, **shades | more)
 
 
-def our_model(options: GameOptions, weight_decay: float, **more: Any) -> RectangleConfig:
+def our_model(options: GameOptions, weight_decay: float, **more: Any) -> models.RectangleConfig:
     """Categories for the places of each object's edges."""
-    fastest = FASTEST * options.frame_skip
-    return RectangleConfig(
-        (80 // options.scale, fastest // options.scale + 1), hidden=options.hidden,
-        dropout=options.dropout, optimizer=decayed_adam(weight_decay), **more,
-    )  # fmt: skip
+    reach = (80 // options.scale, FASTEST * options.frame_skip // options.scale + 1)
+    return models.RectangleConfig(reach, hidden=options.hidden, dropout=options.dropout,
+                                  optimizer=decayed_adam(weight_decay), **more)  # fmt: skip
 
 
-def discriminating(side: int) -> AdversaryConfig:
-    """The discriminator, on patches that frames of so many pixels a side divide into."""
-    first = next(size for size in (5, 4, 2, 1) if side % size == 0)
-    second = 2 if side // first % 2 == 0 else 1
-    return AdversaryConfig(Discriminator((first, second)))
+def model_of(game: Pong | AtariPong, config: Any, opposed: bool = False) -> DynamicsModel:
+    """The model of this game's frames; the paper's ``opposed`` by a discriminator on patches."""
+    shape, actions = game.frame_shape, game.num_actions
+    if isinstance(config, models.RectangleConfig):
+        return in_colours(models.rectangles(shape, actions, config), game.palette)
+    first = next(size for size in (5, 4, 2, 1) if shape[0] % size == 0)
+    patches = Discriminator((first, 2 if shape[0] // first % 2 == 0 else 1))
+    judge = models.discriminator(shape, models.AdversaryConfig(patches)) if opposed else None
+    return models.pixels(shape, actions, config, adversary=judge)
+
+
+def in_colours(model: DynamicsModel, palette: Palette) -> DynamicsModel:
+    """A model of objects in channels of their own, in a world of these colours."""
+    if palette == CHANNELS:
+        return model
+    return models.translated(model, lambda stack: in_channels(stack, palette),
+                             lambda frame: picture_of(frame > 127, palette))  # fmt: skip
+
+
+def in_channels(stack: jax.Array, palette: Palette) -> jax.Array:
+    """A stack ``[..., H, W, 3 * frames]`` in these colours, each object in a channel of its own,
+    uint8. They are told by how red they are, in which they all differ.
+    """
+    if palette == CHANNELS:
+        return stack
+    reds = jnp.array([colour[0] for colour in (palette.opponent, palette.own, palette.ball)])
+    red = stack.reshape(*stack.shape[:-1], -1, 3)[..., :1]
+    return 255 * (red == reds.astype(jnp.uint8)).reshape(stack.shape).astype(jnp.uint8)
+
+
+def middles(masks: jax.Array, axis: int, scale: int = 1) -> jax.Array:
+    """Mean row or column, in pixels ``1 / scale`` as large, of a thing in each frame of ``[H, W,
+    frames]``: ``[frames]``, 0 where there is none.
+    """
+    profile = masks.sum(1 - axis)
+    numbers = jnp.arange(profile.shape[0]) + 0.5
+    return scale * (numbers @ profile) / jnp.maximum(profile.sum(0), 1)
