@@ -26,8 +26,7 @@ FARTHEST_AIM = 9
 FIRES = np.array([1, 1, 4, 5, 4, 5])
 """Each action with the button pressed."""
 BITS = np.arange(3, dtype=np.uint8)
-COPIES = 32
-"""Of the real game, played side by side."""
+COPIES = 32  # of the real game, side by side
 
 
 class Source(NamedTuple):
