@@ -87,6 +87,7 @@ class Leaf(NamedTuple):
         empty: whether it may be an empty tuple.
         path: dotted.
         value: as it is.
+        default: as declared, `MISSING` where it is made.
         hint: its type.
     """
 
@@ -97,6 +98,7 @@ class Leaf(NamedTuple):
     empty: bool = True
     path: str = ""
     value: Any = None
+    default: Any = MISSING
     hint: Any = Any
 
 
@@ -147,7 +149,9 @@ def leaves(settings: Any, prefix: str = "") -> Iterator[Leaf]:
         if _is_settings(value):
             yield from leaves(value, f"{path}.")
         else:
-            yield _declared(item)._replace(path=path, value=value, hint=hints[item.name])
+            yield _declared(item)._replace(
+                path=path, value=value, default=item.default, hint=hints[item.name]
+            )
 
 
 @cache

@@ -9,6 +9,7 @@ from jaxdyna.experiments.cartpole.arms import SAID, arms
 from jaxdyna.experiments.cartpole.options import LEAN, TUNED, rule
 from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report.summaries import first_dreams
 from jaxdyna.experiments.study.arms import ABSENT
 
 PAPER = {"model_free": 650.0, "dyna": 400.0}
@@ -50,7 +51,7 @@ CARTPOLE = Experiment(
     },
     arms=arms,
     rule=rule,
-    describe=(model.describe_dreams, model.describe),
+    describe=(first_dreams, model.describe),
     sections=(
         solving,
         report.learning_curves(

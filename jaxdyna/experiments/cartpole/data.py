@@ -19,8 +19,8 @@ from jaxdyna.experiments.cartpole.arms import Dreams, parts
 from jaxdyna.experiments.cartpole.model import explained
 from jaxdyna.experiments.cartpole.options import TUNED
 from jaxdyna.experiments.engine import Arm, Experiment, Options, Work
+from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report import sections as report
-from jaxdyna.experiments.report import studies
 from jaxdyna.experiments.report.summaries import Curves, mean_of_runs
 from jaxdyna.experiments.report.tables import Results, Table, markdown_table, runs, with_interval
 from jaxdyna.fields import changed, setting
@@ -208,7 +208,8 @@ def section(record: Any) -> str:
     """The tables, and ``horizon.png``."""
     options, errors = record.options, record.curves[ARM]["open_loop"][:, 0]
     by_source = {source: errors[:, row] for row, source in enumerate(SOURCES)}
-    studies.error_growth(record.out / "horizon.png", by_source)
+    plots.bands(record.out / "horizon.png", {"": by_source}, "dreamed steps",
+                "error (standard deviations)", legend="trained on", yscale="log")  # fmt: skip
     (_, ahead), (_, fed) = tables(record)
     return report.paragraphs(
         f"{runs(len(errors))}. In each a policy is trained on {options.episodes} real episodes; "

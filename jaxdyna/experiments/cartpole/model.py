@@ -13,7 +13,7 @@ from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, Metrics
 from jaxdyna.envs import CartPole
 from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report.sections import paragraphs
-from jaxdyna.experiments.report.summaries import FIRST_DREAMS, Curves, first_dreams
+from jaxdyna.experiments.report.summaries import FIRST_DREAMS, Curves
 from jaxdyna.experiments.report.tables import Results, markdown_table, whole
 from jaxdyna.models.evaluation import one_step, one_step_sums, open_loop
 from jaxdyna.rollout import rollout
@@ -116,11 +116,6 @@ def common_transitions(count: int = 400) -> Transition:
         rows = chosen.choice(len(part.mask), size, replace=False)
         drawn.append(jax.tree.map(lambda leaf, at=rows: leaf[at, None], part))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *drawn)
-
-
-def describe_dreams(options: Any, curves: Curves) -> Results:
-    """What the first dreams were like."""
-    return {"first_dreams": first_dreams(curves, options.dyna.num_real_first)}
 
 
 def describe(options: Any, curves: Curves) -> Results:

@@ -8,16 +8,16 @@ from functools import partial
 from typing import Any
 
 from jaxdyna.agents.reinforce import over_batch, within_episode
-from jaxdyna.experiments.cartpole import model
 from jaxdyna.experiments.cartpole.acting import CARTPOLE
 from jaxdyna.experiments.cartpole.arms import arms
 from jaxdyna.experiments.engine import Study
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.rows import rows, summary
+from jaxdyna.experiments.report.summaries import first_dreams
 from jaxdyna.experiments.study.accuracy import Measure, accuracy, describe
 
 Rows = dict[str, dict[str, Any]]
-OF = replace(CARTPOLE, arms=partial(arms, judged=False), describe=(model.describe_dreams,))
+OF = replace(CARTPOLE, arms=partial(arms, judged=False), describe=(first_dreams,))
 LITERAL: dict[str, Any] = {"model.normalise": False, "model.delta": False}
 CONTROLS: Rows = {
     "true environment as the model": {"arm": "oracle"},

@@ -93,7 +93,6 @@ def arms(options: CatchOptions) -> dict[str, study.Made]:
     return study.standard_arms(
         dyna, options.dyna, options.hparams, true_dream(game),
         study.Hooks(judge, piece=10, block=options.block),
-        real_only=study.real_steps,
         busier=parts(game, study.busy(agent), options.widths).agent,
     )  # fmt: skip
 

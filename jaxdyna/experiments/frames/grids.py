@@ -1,7 +1,5 @@
 """Frame models of small grids that are seen from above: a class a channel, lit or not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -58,9 +56,8 @@ class GridOptions(FrameOptions):
 
     steps: int = setting(200, "steps of an episode", at_least=1, everyday=True)
     arms: tuple[str, ...] = setting(("paper", "lean"), "the models that are trained", everyday=True)
-    episodes: int = setting(
-        300, "episodes of the random policy at the most", at_least=1, everyday=True
-    )
+    episodes: int = setting(300, "episodes of the random policy at the most", at_least=1,
+                            everyday=True)  # fmt: skip
     stages: tuple[int, ...] = setting(
         (10, 30, 100, 300), "after how many of them a model is trained, from scratch, and judged; "
         "those above --episodes are left out", at_least=1, everyday=True,
@@ -69,30 +66,27 @@ class GridOptions(FrameOptions):
         100, "the stage at which losses are compared, the only one of models with another loss",
         at_least=1, everyday=True,
     )  # fmt: skip
-    widths: tuple[int, int, int] = setting(
-        (32, 32, 32), "channels of the paper's three convolutions", at_least=1
-    )
+    widths: tuple[int, int, int] = setting((32, 32, 32), "channels of the paper's convolutions",
+                                           at_least=1)  # fmt: skip
     kernels: tuple[int, int, int] = setting((5, 4, 4), "cells a side of their kernels", at_least=1)
     dense: int = setting(1024, "width of the paper's dense layer", at_least=1)
-    lean_widths: tuple[int, ...] = setting(
-        (32, 32, 32), "channels of our 3x3 convolutions", at_least=1
-    )
+    lean_widths: tuple[int, ...] = setting((32, 32, 32), "channels of our 3x3 convolutions",
+                                           at_least=1)  # fmt: skip
     reward: Literal["own", "joint", "local", "none"] = setting(
         "own", "reward head: joint, off the features of stack and action; local, a sum over cells "
         "of the predicted frame; own: none for the paper's models but paper_reward, whose is joint",
     )  # fmt: skip
-    paper: Training = setting(
-        factory=lambda: Training(8000, 40, 32, 3e-3, 0.4, None), help="of the paper's model"
-    )
+    paper: Training = setting(factory=lambda: Training(8000, 40, 32, 3e-3, 0.4, None),
+                              help="of the paper's model")  # fmt: skip
     lean: Training = setting(factory=Training, help="of ours")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.played:
-            raise ValueError(
-                f"--episodes is {self.episodes}, less than the first of --stages: raise it"
-            )
-        side = min(self.world()[0].observation_space(self.world()[1]).shape[:2])
+            said = f"--episodes is {self.episodes}, less than the first of --stages: raise it"
+            raise ValueError(said)
+        env, params = self.world()
+        side = min(env.observation_space(params).shape[:2])
         if any(arm.startswith("paper") for arm in self.arms) and sum(self.kernels) - 3 >= side:
             raise ValueError(
                 f"--kernels {self.kernels} leave nothing of a world of {side} cells a side: "
@@ -129,13 +123,17 @@ def experiment(
 def arms(options: GridOptions) -> dict[str, Callable[[], Arm]]:
     """Every model at every stage; one with another loss at that of the ablation alone."""
     made: dict[str, Callable[[], Arm]] = {}
+    program = without_stages(options, ("paper", "lean"))
     for arm in SAID:
-        training = options.paper if arm.startswith("paper") else options.lean
         played = options.played if arm in ("paper", "lean") else [near(options, options.played)]
-        program = without_stages(options, ("paper", "lean"))
         parts = {str(stage): (stage, stage) for stage in played}
-        made |= stages(arm, partial(work, program, arm), training, parts)
+        made |= stages(arm, partial(work, program, arm), training_of(options, arm), parts)
     return made
+
+
+def training_of(options: GridOptions, arm: str) -> Training:
+    """The paper's, or ours."""
+    return options.paper if arm.startswith("paper") else options.lean
 
 
 def near(options: GridOptions, stages: Any) -> Any:
@@ -155,7 +153,7 @@ def work(options: GridOptions, arm: str) -> Work:
     believe = frame_probability(env.num_actions, config)
     rules = (("lit", model.predict), ("drawn", drawing.predict))
     asked = Asked(believe, rules, config.threshold or 0.5, config.reward is not None)
-    training = options.paper if arm.startswith("paper") else options.lean
+    training = training_of(options, arm)
     world = random_episodes(options, training.rare_share)
     return frame_work(world, model, asked, training.batch, options.block)
 
@@ -164,9 +162,8 @@ def config_of(options: GridOptions, arm: str) -> PixelConfig:
     """The model of this arm. The paper's threshold of 0.2 serves its cross-entropy; 0.5 serves
     ours, and L1 and L2, whose outputs are no probabilities.
     """
-    papers = arm.startswith("paper")
+    papers, training = arm.startswith("paper"), training_of(options, arm)
     loss = {"l1": l1, "l2": l2}.get(arm.partition("_")[2], bce)
-    training = options.paper if papers else options.lean
     own = "joint" if arm == "paper_reward" else ("none" if papers else options.own_head)
     network: Any = LocalDynamics(3, options.lean_widths)
     if papers:
@@ -216,9 +213,7 @@ def random_episodes(options: GridOptions, rare_share: float | None) -> World:
     )  # fmt: skip
 
 
-def collected(
-    play: Callable[[Key], Transition], key: Key, episodes: int, steps: int
-) -> FrameReplay:
+def collected(play: Callable[[Key], Any], key: Key, episodes: int, steps: int) -> FrameReplay:
     """A replay of so many episodes, which ``play`` makes one by one."""
     shapes = jax.eval_shape(play, key)
     example = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[2:], leaf.dtype), shapes)

@@ -1,7 +1,5 @@
 """Judging a frame model, class by class, on episodes that it has not seen."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

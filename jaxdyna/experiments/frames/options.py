@@ -1,7 +1,5 @@
 """Settings that all experiments on frames have."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, partial
@@ -21,23 +19,19 @@ class Training:
     """How a model is trained, from scratch at each stage."""
 
     updates: int = setting(5000, "gradient steps, however few the episodes", at_least=1)
-    updates_per_episode: float = setting(
-        0.0, "as many gradient steps more for each episode of data", at_least=0
-    )
+    updates_per_episode: float = setting(0.0, "gradient steps more for each episode of data",
+                                         at_least=0)  # fmt: skip
     batch: int = setting(32, "transitions in a gradient step", at_least=1)
-    learning_rate: float = setting(
-        5e-3, "Adam's at the start; it falls to 0 along half a cosine", above=0
-    )
-    weight_decay: float = setting(
-        0.0, "of AdamW (Loshchilov and Hutter 2019); 0 is Adam", at_least=0
-    )
+    learning_rate: float = setting(5e-3, "Adam's at the start; it falls to 0 along half a cosine",
+                                   above=0)  # fmt: skip
+    weight_decay: float = setting(0.0, "of AdamW (Loshchilov and Hutter 2019); 0 is Adam",
+                                  at_least=0)  # fmt: skip
     rare_share: float | None = setting(
         0.5, "at least this share of a batch are steps with a reward below or above 0, half each "
         "where there are both; None: as they come", at_least=0, at_most=1,
     )  # fmt: skip
-    reward_weight: float = setting(
-        1.0, "of the reward's squared error beside the frame's loss", at_least=0
-    )
+    reward_weight: float = setting(1.0, "of the reward's squared error beside the frame's loss",
+                                   at_least=0)  # fmt: skip
 
     def __post_init__(self) -> None:
         fields.check(self)
@@ -60,10 +54,8 @@ class FrameOptions(Options):
 
 def without_stages(options: T, trainings: Sequence[str]) -> T:
     """The options without what `Stage` holds of these trainings: what decides the program."""
-    stages = {"updates": 1, "updates_per_episode": 0.0, "learning_rate": 1.0}
-    return changed(options, {
-        f"{name}.{field}": value for name in trainings for field, value in stages.items()
-    })  # fmt: skip
+    alike = {"updates": 1, "updates_per_episode": 0.0, "learning_rate": 1.0}
+    return changed(options, {f"{of}.{name}": alike[name] for of in trainings for name in alike})
 
 
 @cache

@@ -1,9 +1,8 @@
 """What frame models leave behind: tables of scores, Fig. 7, dreams, rewards."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,10 @@ from jaxdyna.experiments.engine import Record
 from jaxdyna.experiments.frames.judging import THRESHOLDS
 from jaxdyna.experiments.frames.scores import SCORES, Scored, f1, used_threshold
 from jaxdyna.experiments.report import frames as pictures
-from jaxdyna.experiments.report import sections
-from jaxdyna.experiments.report.sections import paragraphs
-from jaxdyna.experiments.report.summaries import mean_of_runs
-from jaxdyna.experiments.report.tables import Table, markdown_table, with_interval
+from jaxdyna.experiments.report import plots, sections
+from jaxdyna.experiments.report.sections import grouped, paragraphs
+from jaxdyna.experiments.report.summaries import Curves, mean_of_runs
+from jaxdyna.experiments.report.tables import Table, markdown_table, per_seed, with_interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,9 +44,7 @@ class FrameReport(Scored):
     prefer: Callable[[Any, list[str]], str] = lambda options, stages: stages[-1]
     filmed: Sequence[str] = ()
     rules: Mapping[str, str] = field(default_factory=lambda: {"lit": "threshold"})
-    seen: Callable[[Any, np.ndarray], np.ndarray] = lambda options, stack: pictures.trail(
-        stack / 255
-    )
+    seen: Callable[[Any, np.ndarray], np.ndarray] = lambda _, stack: pictures.trail(stack / 255)
 
     @property
     def sections(self) -> tuple[sections.Section, ...]:
@@ -61,22 +58,21 @@ class FrameReport(Scored):
 
     def by_stage(self, record: Record) -> str:
         """Fig. 7 of every model that has several stages."""
-        drawn = [
-            self.grid(record, f"fig7_{arm}.png", stages,
-                      f"{arm}: input, truth, belief and error, by {self.stage}")
-            for arm, stages in self.models(record).items()
-            if len(stages) > 1
-        ]  # fmt: skip
-        return paragraphs(*drawn)
+        said = f"input, truth, belief and error, by {self.stage}"
+        return paragraphs(*(
+            self.grid(record, f"fig7_{arm}.png", stages, f"{arm}: {said}")
+            for arm, stages in grouped(record).items() if len(stages) > 1
+        ))  # fmt: skip
 
     def losses(self, record: Record) -> str:
         """What each loss makes of a picture and which threshold serves it, at one stage."""
         stage, names = self.compared(record)
         curves = {arm: record.curves[name] for arm, name in names.items()}
-        pictures.score_by_threshold(
-            record.out / "thresholds.png", THRESHOLDS,
-            {arm: f1(judged["one_step"]) for arm, judged in curves.items()}, self.classes,
-            {arm: THRESHOLDS[used_threshold(judged)] for arm, judged in curves.items()},
+        self._draw(
+            record.out / "thresholds.png",
+            {arm: f1(judged["one_step"]) for arm, judged in curves.items()},
+            "threshold (dot: the one used)", "F1", at=THRESHOLDS,
+            dots={arm: [used_threshold(judged)] for arm, judged in curves.items()},
         )  # fmt: skip
         return paragraphs(
             "## Losses and thresholds",
@@ -84,7 +80,7 @@ class FrameReport(Scored):
             "is lit, 1 at best. Spilled: what it believes of others, for each that is lit, 0 at "
             "best: blur spills much, darkness believes and spills little.",
             markdown_table(*self.score_table(record, ("believed", "spilled"), names.values())),
-            sections.figure(record, "thresholds.png", "F1 against threshold"),
+            "![F1 against threshold](thresholds.png)",
             self.grid(record, "losses.png", names, "one step of each model"),
         )
 
@@ -97,41 +93,39 @@ class FrameReport(Scored):
             )]
             for arm in record.results["arms"].values() if arm["reward_right"]
         ]  # fmt: skip
-        return paragraphs(
-            "## Rewards",
-            "Share predicted to within half the smallest reward, by what happened."
-            if rows else "Not predicted.",
-            markdown_table(["model", self.stage, *self.kinds], rows) if rows else "",
-        )  # fmt: skip
+        if not rows:
+            return "## Rewards\n\nNot predicted."
+        said = "Share predicted to within half the smallest reward, by what happened."
+        table = markdown_table(["model", self.stage, *self.kinds], rows)
+        return paragraphs("## Rewards", said, table)
 
     def dreams(self, record: Record) -> str:
         """Scores against dreamed steps, and a film."""
-        names = self.last(record)
-        score, several = self.scores[0], len(self.rules) > 1
+        names, score = self.last(record), self.scores[0]
         shown = {
             self.dreamer(arm, rule): SCORES[score](record.curves[name][f"dream_{rule}"])
             for arm, name in names.items()
             for rule in self.rules
         }
-        what = f"{_called(score)} on held-out episodes"
-        pictures.score_by_horizon(record.out / "horizon.png", shown, self.classes, what)
-        asked = [arm for arm in self.filmed if arm in names] or names
-        films = {arm: record.curves[names[arm]] for arm in asked}
-        films = {arm: curves for arm, curves in films.items() if "show_film_dream" in curves}
-        if films:
-            truth = {"truth": next(iter(films.values()))["show_film_truth"]}
-            dreamed = {arm: curves["show_film_dream"] for arm, curves in films.items()}
-            pictures.film(record.out / "dream.gif", truth | dreamed)
+        self._draw(record.out / "horizon.png", shown, "dreamed steps", _called(score))
+        asked = [arm for arm in self.filmed if arm in names] or [*names]
+        shows = {arm: record.curves[names[arm]] for arm in asked}
+        film = {arm: curves["show_film_dream"] for arm, curves in shows.items() if _shown(curves)}
+        if film:
+            truth = shows[next(iter(film))]["show_film_truth"]
+            pictures.film(record.out / "dream.gif", {"truth": truth} | film)
+        drawn = (
+            " Frames are lit above the threshold, or each pixel is drawn with the probability that "
+            f"it is believed to be lit. {self.drift_said(record)}"
+        ) if len(self.rules) > 1 else ""  # fmt: skip
         return paragraphs(
             "## Dreams",
             "So many steps fed with its own frames, actions as recorded, in the held-out episodes."
-            + (" Frames are lit above the threshold, or each pixel is drawn with the probability "
-               "that it is believed to be lit. " + self.drift_said(record)
-               if several else ""),
+            f"{drawn}",
             markdown_table(*self.dream_table(record)),
-            sections.figure(record, "horizon.png", f"{_called(score)} against dreamed steps"),
-            sections.figure(record, "dream.gif", "dreams beside the truth"),
-        )  # fmt: skip
+            f"![{_called(score)} against dreamed steps](horizon.png)",
+            "![dreams beside the truth](dream.gif)" if film else "",
+        )
 
     def summary(self, record: Record) -> list[tuple[str, Table] | str]:
         """The scores in the terminal."""
@@ -163,12 +157,11 @@ class FrameReport(Scored):
             for step, said in record.results["arms"][name]["dreams"][f"{rule}{suffix}"].items()
         ]
         header, rows = self._table(["model", "step"], parts, self.scores)
-        if len(self.scores) > 1:
-            return header, rows
-        wrong = [f"{100 * said['wrong']['mean']:.2f}%" for _, said in parts]
-        return [*header, "wrong pixels"], [
-            [*row, cell] for row, cell in zip(rows, wrong, strict=True)
-        ]
+        if len(self.scores) == 1:
+            header.append("wrong pixels")
+            for row, (_, said) in zip(rows, parts, strict=True):
+                row.append(f"{100 * said['wrong']['mean']:.2f}%")
+        return header, rows
 
     def _table(
         self, first: Sequence[str], parts: Sequence[tuple[list[str], Any]], scores: Sequence[str]
@@ -182,18 +175,26 @@ class FrameReport(Scored):
         ]  # fmt: skip
         return [*first, *(["score"] if several else []), *self.classes], rows
 
+    def _draw(
+        self, path: Path, scores: Mapping[str, np.ndarray], x: str, y: str, **more: Any
+    ) -> None:
+        """Scores by name ``[seeds, n, classes]``, a panel a class."""
+        panels = {
+            one: {name: values[..., number] for name, values in scores.items()}
+            for number, one in enumerate(self.classes)
+        }
+        plots.bands(path, panels, x, f"{y} on held-out episodes", ylim=(-0.02, 1.02), **more)
+
     def drift_said(self, record: Record) -> str:
         """Which of two rules drifts less, in words; dreams of a run begin alike, so that their
         difference is paired.
         """
-        said, (first, second), [score, *_] = [], list(self.rules)[:2], self.scores
+        said, (first, second), score = [], list(self.rules)[:2], self.scores[0]
         one = self.moving or self.classes[0]
         for arm, name in self.last(record).items():
             dreams = record.results["arms"][name]["dreams"]
             step = [step for step in dreams[first] if int(step) <= 10][-1]
-            a, b = (
-                np.array(dreams[rule][step][score][one]["per_seed"]) for rule in (first, second)
-            )
+            a, b = (per_seed(dreams[rule][step][score][one]) for rule in (first, second))
             apart = mean_of_runs(a - b)
             low, high = (end or 0.0 for end in apart["ci95"] or (0.0, 0.0))
             verdict = "they cannot be told apart"
@@ -208,46 +209,36 @@ class FrameReport(Scored):
 
     def grid(self, record: Record, file: str, names: Mapping[str, str], said: str) -> str:
         """A step as each of some arms predicts it, a row an arm, by what the row is called."""
-        curves = {label: record.curves[name] for label, name in names.items()}
-        curves = {label: shown for label, shown in curves.items() if "show_seen" in shown}
-        if not curves:
-            return ""
+        shows = {label: record.curves[name] for label, name in names.items()}
         rows = {
-            label: (shown["show_truth"] / 255, shown["show_belief"])
-            for label, shown in curves.items()
-        }
-        seen = self.seen(record.options, next(iter(curves.values()))["show_seen"])
+            label: (curves["show_truth"] / 255, curves["show_belief"])
+            for label, curves in shows.items() if _shown(curves)
+        }  # fmt: skip
+        if not rows:
+            return ""
+        seen = self.seen(record.options, shows[next(iter(rows))]["show_seen"])
         pictures.prediction_grid(record.out / file, rows, seen)
         return f"![{said}]({file})"
 
-    def models(self, record: Record) -> dict[str, dict[str, str]]:
-        """The arms' full names by model and stage."""
-        found: dict[str, dict[str, str]] = {}
-        for name, arm in record.results["arms"].items():
-            found.setdefault(arm["arm"], {})[arm["setting"]] = name
-        return found
-
-    def at(self, record: Record) -> dict[str, dict[str, str]]:
-        """The same by stage and model."""
-        found: dict[str, dict[str, str]] = {}
-        for name, arm in record.results["arms"].items():
-            found.setdefault(arm["setting"], {})[arm["arm"]] = name
-        return found
-
     def compared(self, record: Record) -> tuple[str, dict[str, str]]:
         """Of the stages that most models have finished the preferred one; its arms by model."""
-        at = self.at(record)
+        at = grouped(record, "setting", "arm")
         most = max(map(len, at.values()))
         stage = self.prefer(record.options, [stage for stage in at if len(at[stage]) == most])
         return stage, at[stage]
 
     def last(self, record: Record) -> dict[str, str]:
         """The arms of the last stage by model."""
-        return [*self.at(record).values()][-1]
+        return list(grouped(record, "setting", "arm").values())[-1]
 
     def dreamer(self, arm: str, rule: str) -> str:
         """A model, and by which rule its frames are made where there are several."""
         return arm if len(self.rules) == 1 else f"{arm}, {self.rules[rule]}"
+
+
+def _shown(curves: Curves) -> bool:
+    """Whether the first run was played, of which there are pictures."""
+    return "show_seen" in curves
 
 
 def _called(score: str) -> str:

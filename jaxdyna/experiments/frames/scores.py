@@ -1,19 +1,16 @@
 """Scores of frame models, out of what was counted of each run."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from jaxdyna.experiments.frames.judging import THRESHOLDS
-from jaxdyna.experiments.report.summaries import by_class, mean_of_runs
+from jaxdyna.experiments.report.summaries import Curves, by_class, mean_of_runs
+from jaxdyna.experiments.report.tables import Results
 
 HORIZONS = (1, 2, 5, 10, 20, 30, 50)
-Results = dict[str, Any]
-Curves = Mapping[str, np.ndarray]
 
 
 def f1(counts: np.ndarray) -> np.ndarray:
@@ -27,7 +24,7 @@ def recall(counts: np.ndarray) -> np.ndarray:
 
 
 def precision(counts: np.ndarray) -> np.ndarray:
-    """Of counts ``[..., 3]``: the share of lit pixels that are the class's; NaN of none."""
+    """Of counts ``[..., 3]``, or of the right and all: the share that is right; NaN of none."""
     return np.where(counts[..., 1] > 0, counts[..., 0] / np.maximum(counts[..., 1], 1), np.nan)
 
 
@@ -56,55 +53,46 @@ class Scored:
         """
         judged = curves["one_step"]
         used = judged[:, used_threshold(curves)]
-        lit = np.maximum(used[..., 2], 1)
+        mass = curves["mass"] / np.maximum(used[..., 2:], 1)
         means = f1(judged).mean(0).tolist()
-        return {
-            **{name: self._by_class(score(used)) for name, score in SCORES.items()},
+        said = self._scores(used) | {
             "f1_by_threshold": {
                 f"{threshold:g}": dict(zip(self.classes, row, strict=True))
                 for threshold, row in zip(THRESHOLDS, means, strict=True)
             },
-            "believed": self._by_class(curves["mass"][..., 0] / lit),
-            "spilled": self._by_class(curves["mass"][..., 1] / lit),
-            "reward_right": {
-                kind: _share(curves["reward"][:, number])
-                for number, kind in enumerate(self.kinds)
-                if "reward" in curves
-            },
+            "believed": by_class(self.classes, mass[..., 0]),
+            "spilled": by_class(self.classes, mass[..., 1]),
+            "reward_right": {},
             "dreams": {
                 name.removeprefix("dream_"): self._dreams(curves, name)
                 for name in curves
                 if name.startswith("dream_")
             },
         }
+        for number, kind in enumerate(self.kinds if "reward" in curves else ()):
+            counts = curves["reward"][:, number]
+            right, steps = counts.sum(0).tolist()
+            said["reward_right"][kind] = mean_of_runs(precision(counts)) | {
+                "right": right, "steps": steps,
+            }  # fmt: skip
+        return said
+
+    def _scores(self, counts: np.ndarray) -> Results:
+        return {name: by_class(self.classes, score(counts)) for name, score in SCORES.items()}
 
     def _dreams(self, curves: Curves, name: str) -> Results:
         """Scores by dreamed steps, and of how many dreams where these are counted apart."""
         said: Results = {}
-        apart, pixels = name.endswith("_apart"), curves["pixels"][:, None]
         for step in (step for step in HORIZONS if step <= curves[name].shape[1]):
             counts = curves[name][:, step - 1]
-            wrong = (counts[..., 1] + counts[..., 2] - 2 * counts[..., 0]) / pixels
-            said[str(step)] = {
-                **{score: self._by_class(of(counts)) for score, of in SCORES.items()},
-                "wrong": mean_of_runs(wrong.mean(-1)),
-                **({"dreams": int(curves["steps_apart"][:, step - 1].sum())} if apart else {}),
-            }
+            wrong = counts[..., 1] + counts[..., 2] - 2 * counts[..., 0]
+            share = (wrong / curves["pixels"][:, None]).mean(-1)
+            said[str(step)] = self._scores(counts) | {"wrong": mean_of_runs(share)}
+            if name.endswith("_apart"):
+                said[str(step)]["dreams"] = int(curves["steps_apart"][:, step - 1].sum())
         return said
-
-    def _by_class(self, values: np.ndarray) -> Results:
-        return by_class(dict.fromkeys(self.classes), values)
 
 
 def used_threshold(curves: Curves) -> int:
     """Position in `THRESHOLDS` of the one that the model uses."""
     return int(np.argmin(np.abs(THRESHOLDS - curves["threshold"][0])))
-
-
-def _share(counts: np.ndarray) -> Results:
-    """Of counts ``[runs, 2]``, right and all: the share, of those runs that have any."""
-    share = np.where(counts[:, 1] > 0, counts[:, 0] / np.maximum(counts[:, 1], 1), np.nan)
-    return mean_of_runs(share) | {
-        "right": int(counts[:, 0].sum()),
-        "steps": int(counts[:, 1].sum()),
-    }

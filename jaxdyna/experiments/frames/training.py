@@ -1,7 +1,5 @@
 """Training a frame model as work, whose unit is a gradient step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial
@@ -31,13 +29,9 @@ class Learner:
 
 @cache
 def frame_work(
-    world: World,
-    model: DynamicsModel,
-    asked: Asked,
-    batch: int,
-    block: int = 1,
+    world: World, model: DynamicsModel, asked: Asked, batch: int, block: int = 1,
     hparams_of: Callable[[Any], Any] = PixelHParams,
-) -> Work:
+) -> Work:  # fmt: skip
     """A model's training, and its judging on new episodes. A run's key gives all models and stages
     the same episodes.
 
@@ -51,7 +45,6 @@ def frame_work(
     """
 
     def init(key: Key, stage: Stage) -> Learner:
-        del stage
         key, key_init = jax.random.split(key)
         return Learner(jax.random.split(key)[0], model.init(key_init, hparams_of(0.0)))
 

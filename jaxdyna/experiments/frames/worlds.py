@@ -1,7 +1,5 @@
 """What a world and a model tell of themselves, so that any model is judged in any world."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

@@ -2,16 +2,13 @@
 whether sample efficiency grows with the model's accuracy (§5).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from jaxdyna.experiments.engine import Overrides, Study
 from jaxdyna.experiments.maze.acting import MAZE
 from jaxdyna.experiments.maze.arms import arms
-from jaxdyna.experiments.maze.options import LEAN, MazeOptions
+from jaxdyna.experiments.maze.options import MazeOptions
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.rows import rows, summary
 from jaxdyna.experiments.report.summaries import first_dreams
@@ -56,43 +53,30 @@ def levers(options: MazeOptions) -> dict[str, Overrides]:
 def other_dreams(options: MazeOptions) -> dict[str, Overrides]:
     """What changes how dreams are used, or the agent, with the same model."""
     dreams, length = options.dyna.dream_episodes, options.dyna.dream_steps or options.steps
-    steps, kept, some = dreams * length, options.agent.fake_capacity, 10 * options.steps
-    changed: dict[str, Overrides] = {
-        f"N = {first}": {"dyna.num_real_first": first} for first in (5, 30)
-    }
-    changed |= {
-        f"dreams of {each} step(s), as many steps": {
-            "dyna.dream_steps": each, "dyna.dream_episodes": steps // each,
-        }
-        for each in (1, 20)
-    }  # fmt: skip
-    changed |= {
-        f"{count} dreams an episode, not {LEAN.dyna.dream_episodes}": {
-            "dyna.dream_episodes": count, "agent.fake_capacity": kept * count // dreams,
-        }
-        for count in (100, 1600)
-    }  # fmt: skip
-    changed |= {
-        f"{share:.0%} of a batch dreamed": {"hparams.agent.fake_share": share}
-        for share in (0.25, 0.9)
-    }
-    changed |= {
-        f"{updates} updates on dreams to {LEAN.agent.updates} on real steps": {
-            "agent.fake_updates": updates
-        }
-        for updates in (100, 800)
-    }
-    return changed | {
+    kept, some = options.agent.fake_capacity, 10 * options.steps
+
+    def as_long(steps: int) -> Overrides:
+        return {"dyna.dream_steps": steps, "dyna.dream_episodes": dreams * length // steps}
+
+    def as_many(count: int) -> Overrides:
+        return {"dyna.dream_episodes": count, "agent.fake_capacity": kept * count // dreams}
+
+    return {
+        "N = 5": {"dyna.num_real_first": 5},
+        "N = 30": {"dyna.num_real_first": 30},
+        "dreams of 1 step(s), as many steps": as_long(1),
+        "dreams of 20 step(s), as many steps": as_long(20),
+        "100 dreams an episode, not 400": as_many(100),
+        "1600 dreams an episode, not 400": as_many(1600),
+        "25% of a batch dreamed": {"hparams.agent.fake_share": 0.25},
+        "90% of a batch dreamed": {"hparams.agent.fake_share": 0.9},
+        "100 updates on dreams to 100 on real steps": {"agent.fake_updates": 100},
+        "800 updates on dreams to 100 on real steps": {"agent.fake_updates": 800},
         "dreams broken off where half a pixel is in doubt": {"hparams.disagreement_threshold": 0.5},
         "the agent learns from the newest 10 real episodes only": {"agent.capacity": some},
         "model and dreams know the newest 10 real episodes only": {"dyna.replay_capacity": some},
-        "dreams of the newest 2 real episodes only": {"agent.fake_capacity": 2 * steps},
+        "dreams of the newest 2 real episodes only": {"agent.fake_capacity": 2 * dreams * length},
     }
-
-
-def describe_dreams(options: MazeOptions, curves: Any) -> dict[str, Any]:
-    """The first dreams beside the truth."""
-    return {"first_dreams": first_dreams(curves, options.dyna.num_real_first)}
 
 
 LEVERS = Study(
@@ -105,7 +89,7 @@ LEVERS = Study(
         "seeds": 4, "episodes": 100, "stop_after_solved": 0, "judged_on": "common",
         "size": 8, "obstacles": 3, "steps": 60,  # carries them all in two hours
     },
-    describe=(describe_dreams, describe(MEASURE)),
+    describe=(first_dreams, describe(MEASURE)),
     sections=(rows(COLUMN), accuracy(MEASURE, COLUMN), report.settings, report.spent),
     summary=summary(COLUMN),
 )  # fmt: skip

@@ -1,20 +1,16 @@
 """Pictures of frames: what was seen, what came, what was predicted; films as GIF."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from PIL import Image, ImageDraw
 
-from jaxdyna.experiments.report.plots import COLOURS, mean_interval, save, subplots
+from jaxdyna.experiments.report.plots import save, subplots
 
-SCALE, WIDEST = 16, 320
-CAPTION_WIDTH = 220
+SCALE, WIDEST, CAPTION_WIDTH = 16, 320, 220
 PAUSE_MS = 160
+TITLES = ("input (older frames fainter)", "what came", "what was believed", "error")
 
 
 def prediction_grid(path: Path, rows: Mapping[str, Sequence[np.ndarray]], seen: np.ndarray) -> None:
@@ -25,13 +21,13 @@ def prediction_grid(path: Path, rows: Mapping[str, Sequence[np.ndarray]], seen: 
         rows: by name ``(truth, belief)``, each ``[H, W, 3]`` in [0, 1].
         seen: what was seen before the step, likewise.
     """
-    titles = ("input (older frames fainter)", "what came", "what was believed", "error")
     figure, panels = subplots(len(rows), 4, figsize=(9.2, 2.45 * len(rows)), squeeze=False)
     for row, (name, (truth, belief)) in zip(panels, rows.items(), strict=True):
         for panel, picture in zip(row, (seen, truth, belief, np.abs(truth - belief)), strict=True):
-            _show(panel, picture)
+            panel.imshow(np.clip(picture, 0, 1), interpolation="nearest")
+            panel.set(xticks=[], yticks=[])
         row[0].set_ylabel(name, fontsize=9)
-    for panel, title in zip(panels[0], titles, strict=True):
+    for panel, title in zip(panels[0], TITLES, strict=True):
         panel.set_title(title, fontsize=9)
     save(figure, path)
 
@@ -41,63 +37,6 @@ def trail(stack: np.ndarray) -> np.ndarray:
     frames = np.split(stack, stack.shape[-1] // 3, axis=-1)
     strength = np.linspace(0.15, 1, len(frames))
     return np.max([frame * part for frame, part in zip(frames, strength, strict=True)], axis=0)
-
-
-def score_by_threshold(
-    path: Path,
-    thresholds: np.ndarray,
-    scores: Mapping[str, np.ndarray],
-    classes: Sequence[str],
-    marks: Mapping[str, float],
-) -> None:
-    """F1 against the threshold above which a pixel counts as lit, a panel a class.
-
-    Args:
-        path: the PNG.
-        thresholds: ``[n]``.
-        scores: by model ``[seeds, n, classes]``.
-        classes: their names.
-        marks: by model the threshold that it uses.
-    """
-    figure, panels = subplots(1, len(classes), figsize=(10.5, 3.4), sharey=True)
-    for number, (panel, title) in enumerate(zip(panels, classes, strict=True)):
-        for (name, values), colour in zip(scores.items(), _colours(scores), strict=True):
-            _band(panel, thresholds, values[..., number], colour, name)
-            mark = np.argmin(np.abs(thresholds - marks[name]))
-            panel.plot(thresholds[mark], values[:, mark, number].mean(), "o", color=colour)
-        panel.set_title(title, loc="left", fontsize=10)
-        panel.set_xlabel("threshold (dot: the one used)")
-        panel.set_ylim(-0.02, 1.02)
-    panels[0].set_ylabel("F1 on held-out episodes")
-    _legend_above(figure, panels[0])
-    save(figure, path, top=0.9)
-
-
-def score_by_horizon(
-    path: Path,
-    scores: Mapping[str, np.ndarray],
-    classes: Sequence[str],
-    what: str = "F1 on held-out episodes",
-) -> None:
-    """A score of dreamed frames against the number of dreamed steps, a panel a class.
-
-    Args:
-        path: the PNG.
-        scores: by name ``[seeds, horizon, classes]``.
-        classes: their names.
-        what: the score is.
-    """
-    figure, panels = subplots(1, len(classes), figsize=(10.5, 3.4), sharey=True)
-    for number, (panel, title) in enumerate(zip(panels, classes, strict=True)):
-        for (name, values), colour in zip(scores.items(), _colours(scores), strict=True):
-            steps = np.arange(1, values.shape[1] + 1)
-            _band(panel, steps, values[..., number], colour, name)
-        panel.set_title(title, loc="left", fontsize=10)
-        panel.set_xlabel("dreamed steps")
-        panel.set_ylim(-0.02, 1.02)
-    panels[0].set_ylabel(what)
-    _legend_above(figure, panels[0])
-    save(figure, path, top=0.9)
 
 
 def trails(frames: np.ndarray, length: int = 4) -> np.ndarray:
@@ -117,14 +56,14 @@ def film(path: Path, columns: Mapping[str, np.ndarray], first_step: int = 1) -> 
 
     Args:
         path: the GIF.
-        columns: by title uint8 ``[T, H, W, 3]``, all of one length.
+        columns: by title uint8 ``[T, H, W, 3]``; the shortest ends the film.
         first_step: the number of the first frame.
     """
     pictures = []
-    for time in range(len(next(iter(columns.values())))):
+    for step, frames in enumerate(zip(*columns.values(), strict=False), start=first_step):
         parts = [
-            _captioned(frames[time], f"{name}, step {time + first_step}")
-            for name, frames in columns.items()
+            _captioned(frame, f"{name}, step {step}")
+            for name, frame in zip(columns, frames, strict=True)
         ]
         gap = np.full((parts[0].shape[0], 12, 3), 255, np.uint8)
         joined = [piece for part in parts for piece in (part, gap)][:-1]
@@ -143,27 +82,3 @@ def _captioned(frame: np.ndarray, caption: str) -> np.ndarray:
     head = Image.new("RGB", (big.shape[1], 18), "white")
     ImageDraw.Draw(head).text((2, 3), caption, fill="black")
     return np.concatenate([np.asarray(head), big])
-
-
-def _legend_above(figure: Figure, panel: Axes) -> None:
-    handles, labels = panel.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper center", ncols=4, fontsize=8, frameon=False)
-
-
-def _show(panel: Axes, picture: np.ndarray) -> None:
-    panel.imshow(np.clip(picture, 0, 1), interpolation="nearest")
-    panel.set_xticks([])
-    panel.set_yticks([])
-
-
-def _band(panel: Axes, x: np.ndarray, values: np.ndarray, colour: str, label: str) -> None:
-    """Mean over seeds ``[seeds, n]`` with its 95% interval."""
-    low, high = mean_interval(values)
-    panel.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
-    panel.plot(x, values.mean(0), color=colour, label=label, linewidth=1.5)
-    panel.spines[["top", "right"]].set_visible(False)
-
-
-def _colours(names: Mapping[str, object]) -> list[str]:
-    palette = [*COLOURS.values(), "#c0392b", "#2e7dbd", "#7f8c1f", "#888888"]
-    return [palette[number % len(palette)] for number in range(len(names))]

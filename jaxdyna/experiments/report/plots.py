@@ -1,9 +1,9 @@
 """Figures. Every one says in its axes and legend what is drawn, and how it was smoothed."""
 
-from __future__ import annotations
-
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
@@ -12,224 +12,251 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 COLOURS = {
-    "model_free": "#4c566a",
-    "dyna": "#0f7b6c",
-    "placebo": "#b5651d",
-    "oracle": "#6a4c93",
-    "more_updates": "#c2185b",
-    "mpc": "#c77700",
-    "mcts": "#2f6db5",
-    "mpc_init": "#a8432e",
-    "mpc_init_dyna": "#5b8c2a",
-    "mpc_clone": "#8e5a9b",
-    "dyna_l2": "#c0392b",
-    "dyna_adversarial": "#d08770",
-    "true_ball": "#2e7dbd",
-    "true_own": "#7f8c1f",
-    "true_opponent": "#888888",
-    "true_frames": "#d4a017",
-}
-PLANNERS = ("mpc", "mcts", "mpc_init", "mpc_init_dyna", "mpc_clone")
-BEGINS = dict.fromkeys(PLANNERS, "planner begins")
+    "model_free": "#4c566a", "dyna": "#0f7b6c", "placebo": "#b5651d", "oracle": "#6a4c93",
+    "more_updates": "#c2185b", "mpc": "#c77700", "mcts": "#2f6db5", "mpc_init": "#a8432e",
+    "mpc_init_dyna": "#5b8c2a", "mpc_clone": "#8e5a9b", "dyna_l2": "#c0392b",
+    "dyna_adversarial": "#d08770", "true_ball": "#2e7dbd", "true_own": "#7f8c1f",
+    "true_opponent": "#888888", "true_frames": "#d4a017", "max_updates": "#e07b9a",
+}  # fmt: skip
+MARK, FAINT = "#c0392b", "#888888"
+BESIDE: Any = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
+LINES = ("-", "--", ":", "-.")
+FIG5 = {
+    "truth": {"color": "#d08770", "linewidth": 3.0, "label": "real environment"},
+    "one_step": {"color": "#0f7b6c", "linewidth": 1.2, "label": "model, one step ahead"},
+    "open_loop": {"color": "#6a4c93", "linewidth": 1.2, "linestyle": "--",
+                  "label": "model, fed with its own predictions"},
+}  # fmt: skip
 
 
 def learning_curves(
-    path: Path,
-    returns: Mapping[str, np.ndarray],
-    threshold: float,
-    solved_at: Mapping[str, np.ndarray],
-    real_first: int,
-    what: str = "return",
+    path: Path, returns: Mapping[str, np.ndarray], threshold: float,
+    solved_at: Mapping[str, np.ndarray], real_first: int, what: str = "return",
     window: int | None = None,
-) -> None:
-    """Figs. 6 and 8: a panel an arm, real return against real episodes.
+) -> None:  # fmt: skip
+    """Figs. 6 and 8: a panel an arm, real return against real episodes, every seed faintly behind.
 
     Args:
         path: the PNG.
-        returns: by arm, ``[seeds, episodes]``.
+        returns: by arm, ``[seeds, episodes]``, NaN after a run's own end.
         threshold: the return that counts as solved.
         solved_at: by arm, ``[seeds]``, infinity where unsolved.
         real_first: N, where dreaming begins.
         what: the returns are, on the axis.
         window: episodes in the running mean; None: `smoothing_window`.
     """
-    window = window or smoothing_window(max(values.shape[1] for values in returns.values()))
-    figure, panels = subplots(
-        1, len(returns), figsize=(5.2 * len(returns), 4.2), sharex=True, sharey=True, squeeze=False
-    )
-    for letter, panel, (name, values) in zip("abcdefgh", panels[0], returns.items(), strict=False):
-        draw_seeds(panel, values, colour(name), window)
-        panel.axhline(
-            threshold, color="#c0392b", linewidth=1, linestyle="--", label=f"solved: {threshold:g}"
-        )
-        if name != "model_free":
-            panel.axvline(
-                real_first,
-                color="#888888",
-                linewidth=1,
-                linestyle=":",
-                label=f"{BEGINS.get(name, 'dreams begin')}: {real_first}",
-            )
+    window = window or smoothing_window(returns.values())
+    size = (5.2 * len(returns), 4.2)
+    shared: Any = {"sharex": True, "sharey": True, "squeeze": False}
+    figure, panels = subplots(1, len(returns), figsize=size, **shared)
+    for letter, panel, name in zip("abcdefgh", panels.flat, returns, strict=False):
+        values = returns[name]
+        shade, smooth = colour(name), running_mean(values, window)
+        numbers = np.arange(1, values.shape[1] + 1)
+        panel.plot(numbers, smooth[:50].T, color=shade, alpha=0.18, linewidth=0.7)
+        band(panel, carried(smooth), shade, f"mean of {len(values)} seeds, 95% interval")
+        panel.axhline(threshold, color=MARK, linewidth=1, linestyle="--",
+                      label=f"solved: {threshold:g}")  # fmt: skip
+        if not name.startswith(("model_free", "max_updates")):
+            begins = "planner begins" if name.startswith(("mpc", "mcts")) else "dreams begin"
+            panel.axvline(real_first, color=FAINT, linewidth=1, linestyle=":",
+                          label=f"{begins}: {real_first}")  # fmt: skip
         solved = solved_at[name][np.isfinite(solved_at[name])]
         said = f"{len(solved)}/{len(solved_at[name])} solved"
         said += f", mean after {solved.mean():.0f}" if len(solved) == len(solved_at[name]) else ""
-        panel.set_title(f"({letter}) {name}: {said}", loc="left", fontsize=10)
-        panel.set_xlabel("real episodes")
-        low = carried(values)[:, -1].mean() < threshold / 2
-        panel.legend(
-            loc="upper left" if low else "lower right",
-            bbox_to_anchor=(0, 0.9) if low else None,
-            fontsize=8,
-            framealpha=0.85,
-            edgecolor="none",
-        )
+        finish(panel, f"({letter}) {name}: {said}", "real episodes", legend=False)
     panels[0, 0].set_ylabel(f"{what} (running mean of {window} episodes)")
+    legend_above(figure, panels.flat)
     save(figure, path)
 
 
-def behaviour(path: Path, panels: Mapping[str, Mapping[str, np.ndarray]], window: int) -> None:
-    """What episodes are like against their number, a panel a measure, all arms in it.
+def bands(
+    path: Path, panels: Mapping[str, Mapping[str, np.ndarray]], x: str, y: str = "", *,
+    window: int | None = None, at: np.ndarray | None = None,
+    dots: Mapping[str, Sequence[int]] | None = None, legend: str | None = None, **axes: Any,
+) -> None:  # fmt: skip
+    """Means over seeds with their 95% intervals: panels by title, in each of them lines by name.
 
     Args:
         path: the PNG.
-        panels: by the measure's name and arm, ``[seeds, episodes]``.
-        window: episodes in the running mean.
+        panels: by title and name ``[seeds, n]``.
+        x: what the numbers 1 to n are.
+        y: what all lines are, where titles do not say what each panel's are.
+        window: of a running mean over episodes, in which a run that is over keeps its last value;
+            None: the values as they are.
+        at: other numbers than 1 to n.
+        dots: by name, positions of dots on the line.
+        legend: its title.
+        axes: of every panel, as ``matplotlib.axes.Axes.set`` takes them.
     """
-    columns = min(len(panels), 2)
+    columns = min(len(panels), 3)
     rows = -(-len(panels) // columns)
-    shape = (5.6 * columns, 4.2 * rows)
-    figure, axes = subplots(rows, columns, figsize=shape, squeeze=False)
-    for spare in axes.flat[len(panels) :]:
+    size = (2.2 + 3.4 * columns, 0.5 + 3.5 * rows)
+    figure, drawn = subplots(rows, columns, figsize=size, sharey=bool(y), squeeze=False)
+    names = list(dict.fromkeys(name for lines in panels.values() for name in lines))
+    shades = dict(zip(names, colours(names), strict=True))
+    for spare in drawn.flat[len(panels) :]:
         spare.remove()
-    for panel, (title, arms) in zip(axes.flat, panels.items(), strict=False):
-        for name, values in arms.items():
-            smooth = carried(running_mean(values, window))
-            low, high = mean_interval(smooth)
-            episodes = np.arange(1, smooth.shape[1] + 1)
-            panel.fill_between(episodes, low, high, color=colour(name), alpha=0.2, linewidth=0)
-            panel.plot(episodes, smooth.mean(0), color=colour(name), label=name, linewidth=1.5)
-        panel.set_title(title, loc="left", fontsize=10)
-        panel.set_xlabel(f"real episodes (running mean of {window})")
-        panel.set_ylim(bottom=0)
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.legend(fontsize=8, frameon=False)
+    for panel, (title, lines) in zip(drawn.flat, panels.items(), strict=False):
+        for name, values in lines.items():
+            shown = carried(running_mean(values, window)) if window else values
+            band(panel, shown, shades[name], name, at, marker="o", markersize=5,
+                 markevery=list((dots or {}).get(name, ())))  # fmt: skip
+        panel.set(**axes)
+        finish(panel, title, x, legend=False)
+    for panel in drawn[:, 0]:
+        panel.set_ylabel(y)
+    legend_above(figure, drawn.flat, legend)
     save(figure, path)
-
-
-def draw_seeds(panel: Axes, values: np.ndarray, colour: str, window: int) -> None:
-    """The mean over seeds with its 95% interval, every seed faintly behind.
-
-    Args:
-        panel: where to draw.
-        values: ``[seeds, episodes]``, NaN after a run's own end; the mean keeps its last value.
-        colour: of the arm.
-        window: of the running mean, in episodes.
-    """
-    smooth = running_mean(values, window)
-    numbers = np.arange(1, values.shape[1] + 1)
-    panel.plot(numbers, smooth[:50].T, color=colour, alpha=0.18, linewidth=0.7)
-    smooth = carried(smooth)
-    low, high = mean_interval(smooth)
-    panel.fill_between(numbers, low, high, color=colour, alpha=0.25, linewidth=0)
-    label = f"mean of {len(values)} seeds, 95% interval"
-    panel.plot(numbers, smooth.mean(0), color=colour, linewidth=1.8, label=label)
-    panel.spines[["top", "right"]].set_visible(False)
 
 
 def prediction_figure(
     path: Path, episodes: Mapping[str, Mapping[str, np.ndarray]], variables: Sequence[str]
 ) -> None:
-    """Fig. 5: every output of the model beside the truth, a column an episode.
-
-    Args:
-        path: the PNG.
-        episodes: by title: ``truth``, ``one_step`` and ``open_loop``, each ``[T, outputs]``.
-        variables: names of the outputs.
+    """Fig. 5: every output of the model beside the truth, a column an episode: by title its
+    ``truth``, ``one_step`` and ``open_loop``, each ``[T, variables]``.
     """
-    figure, panels = subplots(
-        len(variables), len(episodes), figsize=(5.2 * len(episodes), 1.55 * len(variables)),
-        sharex="col", squeeze=False,
-    )  # fmt: skip
-    styles = {
-        "truth": {"color": "#d08770", "linewidth": 3.0, "label": "real environment"},
-        "one_step": {"color": "#0f7b6c", "linewidth": 1.2, "label": "model, one step ahead"},
-        "open_loop": {
-            "color": "#6a4c93", "linewidth": 1.2, "linestyle": "--",
-            "label": "model, fed with its own predictions",
-        },
-    }  # fmt: skip
-    for column, (title, series) in enumerate(episodes.items()):
-        panels[0, column].set_title(title, loc="left", fontsize=10)
-        for row, name in enumerate(variables):
-            panel = panels[row, column]
-            for kind, style in styles.items():
+    rows, columns = len(variables), len(episodes)
+    size = (5.2 * columns, 1.55 * rows)
+    figure, panels = subplots(rows, columns, figsize=size, sharex="col", squeeze=False)
+    for column, (title, series) in zip(panels.T, episodes.items(), strict=True):
+        for row, panel in enumerate(column):
+            for kind, style in FIG5.items():
                 panel.plot(np.arange(1, len(series[kind]) + 1), series[kind][:, row], **style)
-            truth = np.concatenate([series["truth"][:, row], series["one_step"][:, row]])
-            truth = truth[np.isfinite(truth)]
-            margin = max(0.25 * np.ptp(truth), 0.05)
-            panel.set_ylim(truth.min() - margin, truth.max() + margin)
-            panel.spines[["top", "right"]].set_visible(False)
+            shown = np.concatenate([series[kind][:, row] for kind in ("truth", "one_step")])
+            low, high = np.nanmin(shown), np.nanmax(shown)
+            margin = max(0.25 * (high - low), 0.05)
+            panel.set_ylim(low - margin, high + margin)
             panel.tick_params(labelsize=8)
-            if column == 0:
-                panel.set_ylabel(name, fontsize=9)
-        panels[-1, column].set_xlabel("step")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper center", ncols=3, fontsize=9, frameon=False)
-    save(figure, path, top=0.96)
-
-
-def solved_share(
-    path: Path, first_solved: Mapping[str, np.ndarray], known: Mapping[str, int] | None = None
-) -> None:
-    """The share of the runs whose solving window has begun, against real episodes. What is called
-    "arm, changed so" has the arm's colour and a broken line.
-
-    Args:
-        path: the PNG.
-        first_solved: by arm, number of the window's first episode ``[seeds]``, infinity where
-            unsolved.
-        known: by arm the last episode at which it is known, where its line ends; None draws all to
-            the latest one, on a logarithmic axis.
-    """
-    figure, panel = subplots(figsize=(6.4, 3.6))
-    latest = max([values[np.isfinite(values)].max(initial=2) for values in first_solved.values()])
-    alike: Counter[str] = Counter()
-    for name, values in first_solved.items():
-        numbers = np.sort(values)
-        share = np.arange(1, len(numbers) + 1) / len(numbers)
-        solved = np.isfinite(numbers)
-        end = known[name] if known else latest * 1.05
-        kind = name.partition(",")[0]
-        alike[kind] += 1
-        panel.step(
-            np.concatenate([[1], numbers[solved], [end]]),
-            np.concatenate([[0], share[solved], [solved.mean()]]),
-            where="post",
-            color=colour(name),
-            linestyle=("-", "--", ":", "-.")[alike[kind] % 4 - 1],
-            label=f"{name} ({len(numbers)} runs)",
-        )
-    if known is None:
-        panel.set_xscale("log")
-    axis = "first real episode of the solving window"
-    panel.set_xlabel(axis if known else f"{axis} (logarithmic)")
-    panel.set_ylabel("share of the runs")
-    panel.set_ylim(-0.02, 1.02)
-    panel.legend(fontsize=8, frameon=False)
-    if len(first_solved) > 6:  # no room inside
-        panel.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    panel.spines[["top", "right"]].set_visible(False)
+            finish(panel, legend=False)
+        column[0].set_title(title, loc="left", fontsize=10)
+        column[-1].set_xlabel("step")
+    for panel, name in zip(panels[:, 0], variables, strict=True):
+        panel.set_ylabel(name, fontsize=9)
+    legend_above(figure, panels.flat)
     save(figure, path)
 
 
-def smoothing_window(episodes: int) -> int:
-    """Episodes in the running mean of a curve: 20 of 1,000, fewer of fewer."""
-    return max(1, min(20, episodes // 50))
+def solved_share(
+    path: Path, first_solved: Mapping[str, np.ndarray], known: Mapping[str, int]
+) -> None:
+    """The share of the runs whose solving window has begun, against real episodes. Arms of one
+    colour, such as one with good and with poorer models, differ in their lines.
+
+    Args:
+        path: the PNG.
+        first_solved: by arm, the window's first episode ``[seeds]``, infinity where unsolved.
+        known: by arm, the last episode at which it is known, where its line ends.
+    """
+    figure, panel = subplots(figsize=(7.4, 3.8))
+    drawn: Counter[str] = Counter()
+    for name, values in first_solved.items():
+        shade = colour(name)
+        numbers = np.sort(values[np.isfinite(values)])
+        share = np.concatenate([[0], np.arange(1, len(numbers) + 1), [len(numbers)]]) / len(values)
+        panel.step(
+            [1, *numbers, max(known[name], 1)], share, where="post", color=shade,
+            linestyle=LINES[drawn[shade] % len(LINES)], label=f"{name} ({len(values)} runs)",
+        )  # fmt: skip
+        drawn[shade] += 1
+    panel.set_ylim(-0.02, 1.02)
+    finish(panel, x="first real episode of the solving window", y="share of the runs", **BESIDE)
+    save(figure, path)
+
+
+def solve_bars(path: Path, solved_at: Mapping[str, np.ndarray], limit: int, axis: str) -> None:
+    """When many settings solved (``[seeds]``): every seed a dot, the mean a bar; on the right the
+    unsolved, infinity, each counted as ``limit``.
+    """
+    figure, panel = subplots(figsize=(8.5, 0.42 * len(solved_at) + 1.4))
+    jitter = np.random.default_rng(0)
+    for row, (name, values) in enumerate(solved_at.items()):
+        shown = np.where(np.isfinite(values), values, limit * 1.03)
+        spread = row + jitter.uniform(-0.22, 0.22, len(values))
+        panel.scatter(shown, spread, s=14, alpha=0.6, color=colour(name), linewidth=0)
+        mean = np.minimum(values, limit).mean()
+        panel.plot([mean, mean], [row - 0.36, row + 0.36], color="black", linewidth=2)
+    panel.axvline(limit, color=MARK, linewidth=1, linestyle="--")
+    panel.text(limit * 1.012, -0.6, "unsolved", color=MARK, fontsize=8, va="bottom")
+    panel.set_yticks(range(len(solved_at)), list(solved_at), fontsize=8)
+    panel.set_ylim(len(solved_at) - 0.4, -0.6)
+    finish(panel, x=f"{axis}\n(dot: a seed; bar: mean, an unsolved seed counted as {limit})",
+           legend=False)  # fmt: skip
+    save(figure, path)
+
+
+def error_scatter(
+    path: Path, error: Mapping[str, np.ndarray], solved_at: Mapping[str, np.ndarray],
+    lines: Mapping[str, float], x: str, y: str, hollow: Sequence[str],
+) -> None:  # fmt: skip
+    """A model's error (``x``) against what it takes to solve with it (``y``), both ``[seeds]``: a
+    numbered dot a setting, some hollow, with 95% intervals both ways; lines at the means of those
+    without a model.
+    """
+    figure, panel = subplots(figsize=(9.5, 4.8))
+    shade = COLOURS["dyna"]
+    for number, (name, values) in enumerate(error.items(), start=1):
+        mean_x, mean_y = values.mean(), solved_at[name].mean()
+        across, up = (mean_interval(one[:, None])[:, 0] for one in (values, solved_at[name]))
+        panel.plot(across, [mean_y, mean_y], color=shade, alpha=0.5, linewidth=1)
+        panel.plot([mean_x, mean_x], up, color=shade, alpha=0.5, linewidth=1)
+        panel.plot(mean_x, mean_y, "o", color=shade, markersize=5, zorder=3,
+                   markerfacecolor="white" if name in hollow else shade,
+                   label=f"{number}  {name}")  # fmt: skip
+        panel.annotate(str(number), (mean_x, mean_y), (4, 4), textcoords="offset points",
+                       fontsize=8)  # fmt: skip
+    for name, level in lines.items():
+        panel.axhline(level, color=MARK, linewidth=1, linestyle="--")
+        panel.text(0.995, level, name, color=MARK, fontsize=7, va="bottom", ha="right",
+                   transform=panel.get_yaxis_transform())  # fmt: skip
+    panel.set_xscale("log")
+    finish(panel, x=x, y=y, fontsize=7, handlelength=0, markerscale=0, **BESIDE)
+    save(figure, path)
+
+
+def band(panel: Axes, values: np.ndarray, shade: str, label: str, x: Any = None, **line: Any):
+    """The mean over seeds of ``[seeds, n]`` with its 95% interval, against 1 to n or ``x``."""
+    x = np.arange(1, values.shape[1] + 1) if x is None else x
+    panel.fill_between(x, *mean_interval(values), color=shade, alpha=0.2, linewidth=0)
+    panel.plot(x, values.mean(0), color=shade, label=label, linewidth=1.6, **line)
+
+
+def finish(
+    panel: Axes, title: str = "", x: str = "", y: str = "", *, legend: bool = True, **placed: Any
+) -> None:
+    """Title, axes, a legend (``placed`` so), and no box around them."""
+    panel.set_title(title, loc="left", fontsize=10)
+    panel.set(xlabel=x, ylabel=y)
+    panel.spines[["top", "right"]].set_visible(False)
+    if legend:
+        panel.legend(**{"fontsize": 8, "frameon": False} | placed)
+
+
+def legend_above(figure: Figure, panels: Iterable[Axes], title: str | None = None) -> None:
+    """One legend for all panels."""
+    named = {
+        label: handle
+        for panel in panels
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(named.values(), named, loc="outside upper center", ncols=4, fontsize=8,
+                  frameon=False, title=title, title_fontsize=8)  # fmt: skip
 
 
 def colour(name: str) -> str:
-    """The colour of an arm, wherever it appears; "arm, changed so" has the arm's."""
-    return COLOURS.get(name.split(",", maxsplit=1)[0], COLOURS["dyna"])
+    """An arm's, wherever it appears; "arm, changed so" and "arm@setting" have the arm's."""
+    return COLOURS.get(re.split("[,@]", name)[0], COLOURS["dyna"])
+
+
+def colours(names: Sequence[str]) -> list[str]:
+    """Of lines in one figure: the arms' own, or one after the other where some would be alike."""
+    own = [colour(name) for name in names]
+    return own if len(set(own)) == len(own) else list(islice(cycle(COLOURS.values()), len(own)))
+
+
+def smoothing_window(curves: Iterable[np.ndarray]) -> int:
+    """Episodes in the running mean of curves ``[seeds, episodes]``: 20 of 1,000, fewer of fewer."""
+    return max(1, min(20, max(values.shape[1] for values in curves) // 50))
 
 
 def running_mean(values: np.ndarray, window: int) -> np.ndarray:
@@ -247,66 +274,8 @@ def carried(values: np.ndarray) -> np.ndarray:
     return np.take_along_axis(values, numbers, axis=-1)
 
 
-def swept_curves(
-    path: Path, setting: str, values: Sequence[Any], returns: Mapping[str, Sequence[np.ndarray]]
-) -> None:
-    """Real return against real episodes, a panel an arm, a line a value of one setting.
-
-    Args:
-        path: the PNG.
-        setting: its dotted path.
-        values: that were swept.
-        returns: by arm, of each value ``[seeds, episodes]``.
-    """
-    figure, panels = subplots(1, len(returns), figsize=(5.6 * len(returns), 4.2), squeeze=False,
-                              sharey=True)  # fmt: skip
-    for panel, (name, curves) in zip(panels[0], returns.items(), strict=True):
-        window = smoothing_window(max(one.shape[1] for one in curves))
-        for number, (value, one) in enumerate(zip(values, curves, strict=True)):
-            shade = f"C{number}"
-            smooth = carried(running_mean(one, window))
-            low, high = mean_interval(smooth)
-            episodes = np.arange(1, smooth.shape[1] + 1)
-            panel.fill_between(episodes, low, high, color=shade, alpha=0.15, linewidth=0)
-            panel.plot(episodes, smooth.mean(0), color=shade, label=f"{value}", linewidth=1.5)
-        panel.set_title(f"{name}: mean of {len(curves[0])} runs, 95% interval", loc="left",
-                        fontsize=10)  # fmt: skip
-        panel.set_xlabel(f"real episodes (running mean of {window})")
-        panel.legend(title=setting, fontsize=8, title_fontsize=8, frameon=False)
-        panel.spines[["top", "right"]].set_visible(False)
-    panels[0, 0].set_ylabel("return")
-    save(figure, path)
-
-
-def swept_map(
-    path: Path, sweep: Mapping[str, Sequence[Any]], solved: Mapping[str, np.ndarray]
-) -> None:
-    """Mean episodes to solve over a grid of two settings, a panel an arm.
-
-    Args:
-        path: the PNG.
-        sweep: values by dotted path, rows first.
-        solved: by arm ``[rows, columns]``, an unsolved run counted with all its episodes.
-    """
-    (rows, row_values), (columns, column_values) = sweep.items()
-    figure, panels = subplots(1, len(solved), figsize=(4.8 * len(solved), 4.0), squeeze=False)
-    for panel, (name, values) in zip(panels[0], solved.items(), strict=True):
-        picture = panel.imshow(values, cmap="viridis_r", aspect="auto")
-        middle = (values.min() + values.max()) / 2
-        for (row, column), value in np.ndenumerate(values):
-            shade = "black" if value < middle else "white"
-            panel.text(column, row, f"{value:.0f}", ha="center", va="center", color=shade)
-        panel.set_xticks(range(len(column_values)), [str(value) for value in column_values])
-        panel.set_yticks(range(len(row_values)), [str(value) for value in row_values])
-        panel.set_xlabel(columns)
-        panel.set_ylabel(rows)
-        panel.set_title(f"{name}: episodes to solve, mean", loc="left", fontsize=10)
-        figure.colorbar(picture, ax=panel)
-    save(figure, path)
-
-
 def mean_interval(values: np.ndarray, resamples: int = 400) -> np.ndarray:
-    """Bootstrap 95% interval of the mean over seeds: ``[2, episodes]``."""
+    """Bootstrap 95% interval of the mean over seeds of ``[seeds, n]``: ``[2, n]``."""
     generator = np.random.default_rng(0)
     weights = generator.multinomial(len(values), np.full(len(values), 1 / len(values)), resamples)
     return np.percentile(weights @ values / len(values), [2.5, 97.5], axis=0)
@@ -316,11 +285,10 @@ def subplots(
     rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], **shared: Any
 ) -> Any:
     """A figure of its own and its panels; nothing of matplotlib's is set for the whole process."""
-    figure = Figure(figsize=figsize)
+    figure = Figure(figsize=figsize, layout="constrained")
     return figure, figure.subplots(rows, columns, **shared)
 
 
-def save(figure: Figure, path: Path, top: float = 1.0) -> None:
+def save(figure: Figure, path: Path) -> None:
     """Writes the PNG."""
-    figure.tight_layout(rect=(0, 0, 1, top))
     figure.savefig(path, dpi=120)

@@ -1,89 +1,61 @@
 """The report of a study: every row beside the first, in one of the arms' figures of solving."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from jaxdyna.experiments.report import studies
-from jaxdyna.experiments.report.sections import Section, paragraphs
-from jaxdyna.experiments.report.summaries import FIRST_DREAMS
-from jaxdyna.experiments.report.tables import (
-    Results,
-    Table,
-    interval,
-    markdown_table,
-    number,
-    runs,
-    whole,
-    with_interval,
-)
-from jaxdyna.statistics import bootstrap_interval
+from jaxdyna.experiments.report import plots, tables
+from jaxdyna.experiments.report.sections import paragraphs, told
+from jaxdyna.experiments.report.summaries import FIRST_DREAMS, mean_of_runs
+from jaxdyna.experiments.report.tables import Results, Table, per_seed, whole
 
 
-def rows(column: str = "episodes_to_solve") -> Section:
+@told
+def rows(record: Any, column: str = "episodes_to_solve") -> str:
     """A line and a strip of dots for each row, in ``episodes_to_solve`` or ``first_solved``."""
-
-    def section(record: Any) -> str:
-        results, options = record.results, record.options
-        if not results["arms"]:
-            return ""
-        header, lines = solve_table(results, column)
-        first, *_ = arms = list(results["arms"].values())
-        for line, arm in zip(lines, arms, strict=True):
-            dreams = arm.get("first_dreams")
-            line += [
-                "-" if arm is first else _difference(arm[column], first[column]),
-                f"{whole(dreams['fake_return'])} / {whole(dreams['real_return'])}"
-                if dreams else "-",
-            ]  # fmt: skip
-        solved = {name: _per_run(arm[column], np.inf) for name, arm in results["arms"].items()}
-        studies.solve_bars(record.out / "variants.png", solved, limit(results["arms"], column),
-                           column.replace("_", " "))  # fmt: skip
-        return paragraphs(
-            f"{runs(len(results['runs']['seeds']))} of each row. The first row is the "
-            f"`{options.preset}` preset; every other one changes what it says. "
-            f"{first['solve_rule'].capitalize()}. At most {options.episodes} episodes; a mean with "
-            "an unsolved run in it is shown as its lower bound (≥). The seeds are the same in "
-            f"every row, so that the difference to «{lines[0][0]}» is paired; where runs of the "
-            "row are unsolved it is a lower bound (≥), where runs of the first are it is left out. "
-            f"Fake and real return: medians over the first {FIRST_DREAMS} episodes with dreams.",
-            markdown_table([*header, "difference to the first row", "fake / real return"], lines),
-            "![every run of every row](variants.png)",
-        )
-
-    return section
+    results, options = record.results, record.options
+    if not results["arms"]:
+        return ""
+    (_, *header), lines = tables.solve_table(results, column)
+    first, *_ = arms = list(results["arms"].values())
+    for line, arm in zip(lines, arms, strict=True):
+        dreams = arm.get("first_dreams")
+        line += [
+            "-" if arm is first else _difference(arm[column], first[column]),
+            f"{whole(dreams['fake_return'])} / {whole(dreams['real_return'])}" if dreams else "-",
+        ]
+    solved = {name: per_seed(arm[column]) for name, arm in results["arms"].items()}
+    plots.solve_bars(record.out / "variants.png", solved, limit(results["arms"], column),
+                     column.replace("_", " "))  # fmt: skip
+    return paragraphs(
+        f"{tables.runs(len(results['runs']['seeds']))} of each row. The first row is the "
+        f"`{options.preset}` preset; every other one changes what it says. "
+        f"{first['solve_rule'].capitalize()}. At most {options.episodes} episodes; a mean with "
+        "an unsolved run in it is shown as its lower bound (≥). The seeds are the same in "
+        f"every row, so that the difference to «{lines[0][0]}» is paired; where runs of the "
+        "row are unsolved it is a lower bound (≥), where runs of the first are it is left out. "
+        f"Fake and real return: medians over the first {FIRST_DREAMS} episodes with dreams.",
+        tables.markdown_table(
+            ["row", *header, "difference to the first row", "fake / real return"], lines
+        ),
+        "![every run of every row](variants.png)",
+    )
 
 
 def summary(column: str = "episodes_to_solve") -> Callable[[Any], list[tuple[str, Table] | str]]:
     """The table in the terminal."""
-    return lambda record: [(record.results["part"], solve_table(record.results, column))]
-
-
-def solve_table(results: Results, column: str) -> Table:
-    """A line a row."""
-    header = ["row", f"{column.replace('_', ' ')}: mean (95% interval)", "median", "solved"]
-    return header, [
-        [name, with_interval(arm[column]), number(arm[column], "median"),
-         f"{arm[column]['solved']}/{arm[column]['seeds']}"]
-        for name, arm in results["arms"].items()
-    ]  # fmt: skip
+    return lambda record: [(record.results["part"], tables.solve_table(record.results, column))]
 
 
 def bounded(solve: Results) -> np.ndarray:
     """A figure of each run, an unsolved one at the least that it can be."""
-    return _per_run(solve, solve["budget"])
+    return per_seed(solve, solve["budget"])
 
 
 def limit(arms: Mapping[str, Results], column: str) -> int:
     """What an unsolved run counts as."""
     return int(max(arm[column]["budget"] for arm in arms.values()))
-
-
-def _per_run(solve: Results, unsolved: float) -> np.ndarray:
-    return np.array([unsolved if value is None else value for value in solve["per_seed"]], float)
 
 
 def _difference(solve: Results, first: Results) -> str:
@@ -93,5 +65,4 @@ def _difference(solve: Results, first: Results) -> str:
     difference = bounded(solve) - bounded(first)
     if solve["solved"] < solve["seeds"]:
         return f"≥ {difference.mean():+.0f}"
-    ends = bootstrap_interval(difference, lambda values: values.mean(-1))
-    return f"{difference.mean():+.0f} ({interval(ends)})"
+    return tables.with_interval(mean_of_runs(difference), sign="+")

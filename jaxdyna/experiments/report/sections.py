@@ -1,33 +1,37 @@
 """The sections that most reports share: pure functions of a record, each with its figures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from functools import wraps
+from itertools import product
+from typing import Any, Concatenate, ParamSpec
 
 import numpy as np
 
-from jaxdyna.experiments.report import plots
-from jaxdyna.experiments.report.settings import settings_table
+from jaxdyna import fields
+from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.summaries import HELD_EPISODES, comparisons, mean_of_runs
-from jaxdyna.experiments.report.tables import (
-    Table,
-    arm_table,
-    end_table,
-    interval,
-    markdown_table,
-    quantile_table,
-    runs,
-    time_table,
-)
+from jaxdyna.experiments.report.tables import Table, markdown_table, runs, with_interval
 from jaxdyna.statistics import SolveRule, episodes_to_solve
 
 Section = Callable[[Any], str]
 Rule = Callable[[Any], SolveRule]
+P = ParamSpec("P")
 COUNTED = (
     "The rule is the same for all arms and counts every real episode. An unsolved run is never "
     "dropped: it leaves the mean undefined, of which only a lower bound (≥) is then known."
 )
+QUANTILES = (5, 25, 50, 75, 95, 99)
+NOT_SHOWN = ("preset", "quick", "arms", "seeds", "seed")
+
+
+def told(section: Callable[Concatenate[Any, P], str]) -> Callable[P, Section]:
+    """A section that is told more than the record: called with that, it gives the section."""
+
+    @wraps(section)
+    def tell(*args: P.args, **more: P.kwargs) -> Section:
+        return lambda record: section(record, *args, **more)
+
+    return tell
 
 
 def paragraphs(*parts: str) -> str:
@@ -40,65 +44,54 @@ def figure(record: Any, name: str, said: str) -> str:
     return f"![{said}]({name})" if (record.out / name).exists() else ""
 
 
+def grouped(record: Any, by: str = "arm", of: str = "setting") -> dict[str, dict[str, str]]:
+    """The full names of the entries of ``results["arms"]``, by arm and setting, or the reverse."""
+    names: dict[str, dict[str, str]] = {}
+    for name, entry in record.results["arms"].items():
+        names.setdefault(entry.get(by, name), {})[entry.get(of, name)] = name
+    return names
+
+
+@told
 def solving(
-    rule: Rule, paper: Mapping[str, float], ratio: Mapping[str, float], said: str = ""
-) -> Section:
+    record: Any, rule: Rule, paper: Mapping[str, float], ratio: Mapping[str, float], said: str = ""
+) -> str:
     """The table of arms and the ratios between them; the paper's own figures beside."""
-
-    def section(record: Any) -> str:
-        options, results = record.options, record.results
-        counted = len(results["runs"]["seeds"])
-        about = f"{runs(counted)} of each arm. {str(rule(options)).capitalize()}. {said}"
-        return paragraphs(
-            f"{about} {COUNTED}", markdown_table(*arm_table(results, paper)),
-            *comparisons(results, ratio), swept(record),
-        )  # fmt: skip
-
-    return section
+    counted = runs(len(record.results["runs"]["seeds"]))
+    return paragraphs(
+        f"{counted} of each arm. {str(rule(record.options)).capitalize()}. {said} {COUNTED}",
+        markdown_table(*tables.solve_table(record.results, paper=paper)),
+        *comparisons(record.results, ratio), swept(record),
+    )  # fmt: skip
 
 
+@told
 def learning_curves(
-    rule: Rule, name: str = "returns.png", said: str = "return against real episodes",
+    record: Any, rule: Rule, name: str = "returns.png", said: str = "return against real episodes",
     what: str = "return", window: int | None = None, arms: Sequence[str] = (),
-    real_first: Callable[[Any], int] = lambda options: options.dyna.num_real_first,
-) -> Section:  # fmt: skip
+) -> str:  # fmt: skip
     """Real return against real episodes, a panel an arm, and the share of runs that have solved."""
-
-    def section(record: Any) -> str:
-        solves, shown = rule(record.options), drawn(record, arms)
-        returns = {name: _levelled(solves, curves) for name, curves in shown.items()}
-        at = {
-            name: episodes_to_solve(solves.score(curves), solves)
-            for name, curves in record.curves.items()
-        }
-        plots.learning_curves(record.out / name, returns, solves.threshold, at,
-                              real_first(record.options), what, window)  # fmt: skip
-        return paragraphs(f"![{said}]({name})", solved_share(rule)(record))
-
-    return section
+    solves, returns, at = rule(record.options), {}, {}
+    for arm, curves in drawn(record, arms).items():
+        whole = curves[solves.share_of] if solves.share_of else 1
+        returns[arm] = curves["real_return"] / whole
+        at[arm] = episodes_to_solve(solves.score(curves), solves)
+    plots.learning_curves(record.out / name, returns, solves.threshold, at,
+                          record.options.dyna.num_real_first, what, window)  # fmt: skip
+    return paragraphs(f"![{said}]({name})", solved_share(rule)(record))
 
 
-def solved_share(rule: Rule) -> Section:
+@told
+def solved_share(record: Any, rule: Rule) -> str:
     """The share of the runs that have solved, against real episodes."""
-
-    def section(record: Any) -> str:
-        if not record.curves:
-            return ""
-        solves, first, known = rule(record.options), {}, {}
-        for name, curves in record.curves.items():
-            first[name] = episodes_to_solve(solves.score(curves), solves) - solves.window + 1
-            played = int(np.isfinite(curves["real_return"]).sum(1).max())
-            known[name] = max(played - solves.window + 1, 1)
-        plots.solved_share(record.out / "solved.png", first, known)
-        return "![share of the runs that have solved](solved.png)"
-
-    return section
-
-
-def _levelled(rule: SolveRule, curves: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Returns as the rule measures them: a share where it asks for one."""
-    returns = curves["real_return"]
-    return returns if rule.share_of is None else returns / curves[rule.share_of]
+    if not record.curves:
+        return ""
+    solves, first, known = rule(record.options), {}, {}
+    for name, curves in record.curves.items():
+        first[name] = episodes_to_solve(solves.score(curves), solves) - solves.window + 1
+        known[name] = int(np.isfinite(curves["real_return"]).sum(1).max()) - solves.window + 1
+    plots.solved_share(record.out / "solved.png", first, known)
+    return "![share of the runs that have solved](solved.png)"
 
 
 def drawn(record: Any, arms: Sequence[str]) -> Mapping[str, Any]:
@@ -107,154 +100,170 @@ def drawn(record: Any, arms: Sequence[str]) -> Mapping[str, Any]:
     return named or dict(list(record.curves.items())[:8])
 
 
-def behaviour(measures: Mapping[str, str], window: int, name: str = "behaviour.png",
-              said: str = "", arms: Sequence[str] = ()) -> Section:  # fmt: skip
+@told
+def behaviour(
+    record: Any, measures: Mapping[str, str], window: int, name: str = "behaviour.png",
+    said: str = "", arms: Sequence[str] = (),
+) -> str:  # fmt: skip
     """What episodes are like against their number, a panel a curve, by the curve's name."""
-
-    def section(record: Any) -> str:
-        shown = drawn(record, arms)
-        panels = {
-            title: {arm: curves[key] for arm, curves in shown.items() if key in curves}
-            for key, title in measures.items()
-        }
-        panels = {title: drawn for title, drawn in panels.items() if drawn}
-        if not panels:
-            return ""
-        plots.behaviour(record.out / name, panels, window)
-        return paragraphs(said, f"![{', '.join(panels)}]({name})")
-
-    return section
+    shown = drawn(record, arms)
+    panels = {
+        title: {arm: curves[key] for arm, curves in shown.items() if key in curves}
+        for key, title in measures.items()
+    }
+    panels = {title: lines for title, lines in panels.items() if lines}
+    if not panels:
+        return ""
+    axis = f"real episodes (running mean of {window})"
+    plots.bands(record.out / name, panels, axis, window=window, ylim=(0, None))
+    return paragraphs(said, f"![{', '.join(panels)}]({name})")
 
 
 def swept(record: Any) -> str:
-    """A figure of what was swept: curves for one field, a map for two; empty where nothing was."""
-    sweep, arms = record.results["sweep"], record.results["arms"]
-    shape = [len(values) for values in sweep.values()]
-    whole = {arm: names for arm, names in _by_arm(record).items() if len(names) == np.prod(shape)}
-    if not sweep or not whole or not all("final_return" in arm for arm in arms.values()):
+    """Returns for what was swept: the last field's values are lines, those of the others panels; of
+    the arms of which every value has been played.
+    """
+    sweep = record.results["sweep"]
+    *paths, last = [path.split(".")[-1] for path in sweep] or [""]
+    points = list(product(*sweep.values()))
+    panels: dict[str, dict[str, np.ndarray]] = {}
+    for arm, names in grouped(record).items():
+        played = [record.curves[name] for name in names.values()]
+        if sweep and len(played) == len(points) and "real_return" in played[0]:
+            for (*others, value), curves in zip(points, played, strict=True):
+                at = (f"{path} {one}" for path, one in zip(paths, others, strict=True))
+                panels.setdefault(", ".join([arm, *at]), {})[str(value)] = curves["real_return"]
+    if not panels:
         return ""
-    if len(sweep) == 1:
-        [(path, values)] = sweep.items()
-        returns = {
-            arm: [record.curves[name]["real_return"] for name in names]
-            for arm, names in whole.items()
-        }
-        plots.swept_curves(record.out / "sweep.png", path, values, returns)
-    elif len(sweep) == 2:
-        solved = {
-            arm: np.array([arms[name]["episodes_to_solve"]["restricted_mean"] for name in names])
-            .reshape(shape)
-            for arm, names in whole.items()
-        }  # fmt: skip
-        plots.swept_map(record.out / "sweep.png", sweep, solved)
-    return figure(record, "sweep.png", f"swept: {', '.join(sweep)}")
-
-
-def _by_arm(record: Any) -> dict[str, list[str]]:
-    names: dict[str, list[str]] = {}
-    for name, arm in record.results["arms"].items():
-        names.setdefault(arm.get("arm", name), []).append(name)
-    return names
+    window = plots.smoothing_window(one for lines in panels.values() for one in lines.values())
+    plots.bands(
+        record.out / "sweep.png", panels, f"real episodes (running mean of {window})",
+        "return: mean of runs, 95% interval", window=window, legend=last,
+    )  # fmt: skip
+    return f"![swept: {', '.join(sweep)}](sweep.png)"
 
 
 def distribution(record: Any) -> str:
     """Quantiles over the runs of the solving window's first episode."""
+
+    def quantiles(of: str) -> str:
+        rows = []
+        for name, arm in record.results["arms"].items():
+            at = np.percentile(tables.per_seed(arm[of]), [*QUANTILES, 100], method="inverted_cdf")
+            rows.append([name, *("never" if np.isinf(one) else f"{one:,.0f}" for one in at)])
+        return markdown_table(["arm", *(f"{percent}%" for percent in QUANTILES), "latest"], rows)
+
     return paragraphs(
         "## The whole distribution",
         "`first_solved`, the number of the solving window's first episode, in quantiles over the "
         "runs. The window forgives a few falls at its start, so that the policy may be found only "
         "some episodes later:",
-        markdown_table(*quantile_table(record.results, "first_solved")),
+        quantiles("first_solved"),
         "The first single episode at or above the threshold:",
-        markdown_table(*quantile_table(record.results, "first_at_threshold")),
+        quantiles("first_at_threshold"),
     )
 
 
-def endings(rule: Rule) -> Section:
-    """How each arm ended."""
+@told
+def endings(record: Any, rule: Rule) -> str:
+    """How each arm ended: episodes played, last returns, and whether what was solved held."""
+    rows = [
+        [name, f"{arm['episodes_played']['mean']:,.0f}", with_interval(arm["final_return"], 1),
+         f"{arm['solved_and_held']}/{arm['final_return']['seeds']}"]
+        for name, arm in record.results["arms"].items()
+    ]  # fmt: skip
+    last = f"return of a run's last {rule(record.options).window}: mean (95% interval)"
+    return paragraphs(
+        markdown_table(["arm", "episodes played", last, "solved and held"], rows),
+        f"Held: solved, and still so good over the last {HELD_EPISODES} episodes that the run "
+        "played.",
+    )
 
-    def section(record: Any) -> str:
-        return paragraphs(
-            markdown_table(*end_table(record.results, rule(record.options).window)),
-            f"Held: solved, and still so good over the last {HELD_EPISODES} episodes that the run "
-            "played.",
-        )
 
-    return section
-
-
-def equal_episodes(baselines: Sequence[str], arms: Sequence[str] = (), last: int = 20) -> Section:
+@told
+def equal_episodes(
+    record: Any, baselines: Sequence[str], arms: Sequence[str] = (), last: int = 20
+) -> str:
     """Returns in the last episodes that every run of all arms has played, and less a baseline's run
     by run: runs of the same number begin with the same key. Empty where nothing can be compared.
     """
-
-    def cell(values: np.ndarray, sign: str) -> str:
-        said = mean_of_runs(values)
-        ends = interval(said["ci95"], 2)
-        return f"{said['mean']:{sign}.2f}{'' if ends == '-' else f' ({ends})'}"
-
-    def section(record: Any) -> str:
-        returns = {
-            name: curves["real_return"]
-            for name, curves in record.curves.items()
-            if name in arms or not arms
-        }
-        known = [name for name in baselines if name in returns]
-        end = min(int(np.isfinite(values).sum(1).min()) for values in returns.values())
-        if not known or len(returns) == 1 or end < last:
-            return ""
-        at = {name: values[:, end - last : end].mean(1) for name, values in returns.items()}
-        rows = [
-            [name, cell(mine, ""), *("-" if name == other else cell(mine - at[other], "+")
-                                     for other in known)]
-            for name, mine in at.items()
-        ]  # fmt: skip
-        return paragraphs(
-            "After as many real episodes: the mean return of episodes "
-            f"{end - last + 1} to {end}, the last that every run has played, and less another "
-            "arm's run by run; 95% intervals over runs.",
-            markdown_table(["arm", "return", *(f"less that of {name}" for name in known)], rows),
-        )
-
-    return section
+    returns = {
+        name: curves["real_return"]
+        for name, curves in record.curves.items()
+        if name in arms or not arms
+    }
+    known = [name for name in baselines if name in returns]
+    end = min(int(np.isfinite(values).sum(1).min()) for values in returns.values())
+    if not known or len(returns) == 1 or end < last:
+        return ""
+    at = {name: values[:, end - last : end].mean(1) for name, values in returns.items()}
+    rows = [
+        [name, with_interval(mean_of_runs(mine), 2),
+         *("-" if name == other else with_interval(mean_of_runs(mine - at[other]), 2, "+")
+           for other in known)]
+        for name, mine in at.items()
+    ]  # fmt: skip
+    return paragraphs(
+        f"After as many real episodes: the mean return of episodes {end - last + 1} to {end}, the "
+        "last that every run has played, and less another arm's run by run; 95% intervals over "
+        "runs.",
+        markdown_table(["arm", "return", *(f"less that of {name}" for name in known)], rows),
+    )
 
 
-def arms_said(said: Mapping[str, str]) -> Section:
+@told
+def arms_said(record: Any, said: Mapping[str, str]) -> str:
     """What each arm that was played is."""
-
-    def section(record: Any) -> str:
-        named = {arm.get("arm", name) for name, arm in record.results["arms"].items()}
-        lines = [f"- `{name}`: {text}" for name, text in said.items() if name in named]
-        return paragraphs("## The arms", "\n".join(lines)) if lines else ""
-
-    return section
+    lines = [f"- `{name}`: {text}" for name, text in said.items() if name in grouped(record)]
+    return paragraphs("## The arms", "\n".join(lines)) if lines else ""
 
 
 def settings(record: Any) -> str:
     """Everyday settings, and whatever is not as declared."""
-    return paragraphs("## Settings", markdown_table(*settings_table(record.options)))
+    rows = [
+        [f"`{leaf.path}`", _said(leaf.value), leaf.help]
+        for leaf in fields.leaves(record.options)
+        if leaf.path not in (*NOT_SHOWN, *record.options.decided)
+        and (leaf.everyday or leaf.default not in (fields.MISSING, leaf.value))
+    ]
+    return paragraphs("## Settings", markdown_table(["setting", "value", "what it is"], rows))
+
+
+def _said(value: Any) -> str:
+    said = fields.plain(value)
+    if isinstance(said, list):
+        return " ".join(map(str, said))
+    return f"{said:g}" if isinstance(said, float) else str(said)
 
 
 def spent(record: Any) -> str:
     """Seconds and memory."""
-    peak = record.results["device"]["peak_memory_gib"]
+    timing, device = record.results["timing"], record.results["device"]
+    rows = [
+        [name, f"{one.get('compile_s', 0):,.1f}",
+         f"{one.get('run_s', one.get('measure_s', 0)):,.1f}"]
+        for name, one in timing["arms"].items()
+    ]  # fmt: skip
+    rows.append(["all, with drawing", "", f"{timing['total_s']:,.1f}"])
+    header = [f"arm ({device['cpu_cores']} cores)", "compiling (s)", "running and judging (s)"]
+    peak = device["peak_memory_gib"]
     memory = f"The process took {peak:.1f} GiB of memory at the most." if peak else ""
-    return paragraphs("## Time", markdown_table(*time_table(record.results)), memory)
+    return paragraphs("## Time", markdown_table(header, rows), memory)
 
 
-def solve_summary(title: str, paper: Mapping[str, float],
-                  ratio: Mapping[str, float]) -> Callable[[Any], list[Any]]:  # fmt: skip
+def solve_summary(
+    title: str, paper: Mapping[str, float], ratio: Mapping[str, float]
+) -> Callable[[Any], list[tuple[str, Table] | str]]:
     """The table of arms in the terminal, and the ratios under it."""
 
     def summary(record: Any) -> list[tuple[str, Table] | str]:
-        results, options = record.results, record.options
+        results, timing = record.results, record.results["timing"]
         counted = runs(len(results["runs"]["seeds"]))
-        head = f"{title}, {options.preset} preset, {counted} an arm"
-        header, rows = arm_table(results, paper)
-        short = ["episodes to solve" if "episodes to solve" in name else name for name in header]
-        timing = results["timing"]
+        header, rows = tables.solve_table(results, paper=paper)
+        short = [name.partition(" (of")[0] for name in header]
         return [
-            (head, (short, rows)), *comparisons(results, ratio),
+            (f"{title}, {record.options.preset} preset, {counted} an arm", (short, rows)),
+            *comparisons(results, ratio),
             f"{timing['total_s']:.1f} s in all: compiling {timing['compile_s']:.1f}, running "
             f"{timing['run_s']:.1f}",
         ]  # fmt: skip

@@ -1,21 +1,14 @@
 """What runs say together: an arm's figures of ``results.json``, ratios of arms, sentences."""
 
-from __future__ import annotations
-
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from jaxdyna.experiments.report.tables import Results, interval
-from jaxdyna.statistics import (
-    SolveRule,
-    bootstrap_interval,
-    episodes_to_solve,
-    ratio_of_means,
-    steps_before,
-    summarise,
-)
+from jaxdyna import statistics
+from jaxdyna.experiments.report.tables import Results, interval, per_seed
+from jaxdyna.statistics import SolveRule, summarise
 
 Curves = Mapping[str, np.ndarray]
 FIRST_DREAMS = 100
@@ -36,17 +29,18 @@ def describe_arm(curves: Curves, rule: SolveRule, budget: int) -> Results:
         budget: real episodes of a run at the most.
     """
     score, returns = rule.score(curves), curves["real_return"]
-    solved_at = episodes_to_solve(score, rule)
+    solved_at = statistics.episodes_to_solve(score, rule)
     first = solved_at - rule.window + 1
     solved = np.isfinite(solved_at)
-    steps = steps_before(curves["real_length"], first)
+    steps = statistics.steps_before(curves["real_length"], first)
     played = np.isfinite(returns).sum(-1)
-    held = last_mean(score, HELD_EPISODES)
+    held, reached = last_mean(score, HELD_EPISODES), score >= rule.level
+    first_at = np.where(reached.any(1), reached.argmax(1) + 1.0, np.inf)
     return {
         "episodes_to_solve": summarise(solved_at, at_least=budget),
         "first_solved": summarise(first, at_least=max(budget - rule.window + 1, 1)),
         "real_steps_to_solve": summarise(steps, at_least=np.nansum(curves["real_length"], -1)),
-        "first_at_threshold": summarise(_first_at(score, rule.level), at_least=budget),
+        "first_at_threshold": summarise(first_at, at_least=budget),
         "final_return": summarise(last_mean(returns, rule.window), solved),
         "solved_and_held": int((solved & (held >= rule.level)).sum()),
         "episodes_played": {"mean": float(played.mean()), "per_seed": played.tolist()},
@@ -69,35 +63,27 @@ def mean_of_runs(values: np.ndarray) -> Results:
     known = values[np.isfinite(values)]
     return {
         "mean": float(known.mean()) if len(known) else None,
-        "ci95": bootstrap_interval(known, lambda rows: rows.mean(-1)),
+        "ci95": statistics.bootstrap_interval(known, lambda rows: rows.mean(-1)),
         "per_seed": [float(value) if np.isfinite(value) else None for value in values],
     }
 
 
-def by_class(names: Mapping[str, object], values: np.ndarray) -> Results:
-    """`mean_of_runs` of each column of ``[runs, classes]``."""
+def by_class(names: Sequence[str], values: np.ndarray) -> Results:
+    """`mean_of_runs` of each column of ``[runs, names]``."""
     return {name: mean_of_runs(column) for name, column in zip(names, values.T, strict=True)}
 
 
-def _first_at(returns: np.ndarray, threshold: float) -> np.ndarray:
-    """Number of the first single episode at or above the threshold, infinity without one."""
-    reached = returns >= threshold
-    return np.where(reached.any(1), reached.argmax(1) + 1.0, np.inf)
-
-
-def first_dreams(curves: Curves, real_first: int) -> Results:
-    """Medians of fake and real return and length over runs and the `FIRST_DREAMS` episodes from
-    real episode ``real_first``; empty for an arm without dreams, NaN where none took place.
+def first_dreams(options: Any, curves: Curves) -> Results:
+    """``first_dreams``: medians of fake and real return and length over runs and the first
+    `FIRST_DREAMS` episodes with dreams; empty for an arm without, NaN where none took place.
     """
-    if "fake_length" not in curves:
-        return {}
-    start = max(real_first - 1, 0)
+    start = max(options.dyna.num_real_first - 1, 0)
     after = slice(start, start + FIRST_DREAMS)
+    names = ("fake_return", "real_return", "fake_length", "real_length")
     with warnings.catch_warnings(action="ignore"):
-        return {
-            name: float(np.nanmedian(curves[name][:, after]))
-            for name in ("fake_return", "real_return", "fake_length", "real_length")
-        }
+        said = {name: float(np.nanmedian(curves[name][:, after])) for name in names
+                if "fake_length" in curves}  # fmt: skip
+    return {"first_dreams": said}
 
 
 def compare(arms: Results, baseline: str, figure: str = "episodes_to_solve") -> Results:
@@ -106,24 +92,22 @@ def compare(arms: Results, baseline: str, figure: str = "episodes_to_solve") -> 
     """
     if baseline not in arms:
         return {}
-    denominator = _per_seed(arms[baseline][figure])
+    denominator = per_seed(arms[baseline][figure])
     unsolved = ~np.isfinite(denominator)
     known = denominator[~unsolved].sum()
     least = arms[baseline][figure]["restricted_mean"] * len(denominator) - known
     at_least = least / max(unsolved.sum(), 1)
     return {
-        name: ratio_of_means(_per_seed(arm[figure]), denominator, at_least)
+        name: statistics.ratio_of_means(per_seed(arm[figure]), denominator, at_least)
         for name, arm in arms.items()
         if name != baseline and figure in arm
     }
 
 
 def comparison(
-    results: Results,
-    paper: Mapping[str, float],
-    baseline: str = "model_free",
+    results: Results, paper: Mapping[str, float], baseline: str = "model_free",
     figure: str = "episodes_to_solve",
-) -> list[str]:
+) -> list[str]:  # fmt: skip
     """The ratios to a baseline in words, a line an arm, the paper's own beside those it gives."""
     lines, unknown = [], []
     for name, ratio in compare(results["arms"], baseline, figure).items():
@@ -152,7 +136,3 @@ def comparisons(
         both = {name: arms[name] for name in ("dyna", other) if name in arms}
         lines += comparison({"arms": both}, {}, other, figure)
     return lines
-
-
-def _per_seed(summary: Results) -> np.ndarray:
-    return np.array([np.inf if value is None else value for value in summary["per_seed"]])

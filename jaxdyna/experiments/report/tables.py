@@ -1,7 +1,5 @@
 """Numbers in words, and tables of them, for Markdown and the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,15 +11,14 @@ from jaxdyna.statistics import Summary
 
 Results = dict[str, Any]
 Table = tuple[list[str], list[list[str]]]
-QUANTILES = (5, 25, 50, 75, 95, 99)
 
 
-def number(summary: Summary, statistic: str = "mean", digits: int = 0) -> str:
+def number(summary: Summary, statistic: str = "mean", digits: int = 0, sign: str = "") -> str:
     """A statistic in words; where unsolved runs leave a mean undefined, its lower bound."""
     value = summary[statistic]
     if value is None and statistic == "mean" and summary.get("restricted_mean") is not None:
-        return f"≥ {summary['restricted_mean']:,.{digits}f}"
-    return "-" if value is None else f"{value:,.{digits}f}"
+        return f"≥ {summary['restricted_mean']:{sign},.{digits}f}"
+    return "-" if value is None else f"{value:{sign},.{digits}f}"
 
 
 def whole(value: float) -> str:
@@ -42,71 +39,35 @@ def interval(ends: Sequence[float | None] | None, digits: int = 0) -> str:
     return f"{low} to {high}"
 
 
-def with_interval(summary: Summary, digits: int = 0) -> str:
+def with_interval(summary: Summary, digits: int = 0, sign: str = "") -> str:
     """``mean (low to high)``; the mean alone where there is no interval."""
-    said, ends = number(summary, digits=digits), interval(summary["ci95"], digits)
+    said, ends = number(summary, digits=digits, sign=sign), interval(summary["ci95"], digits)
     return said if ends == "-" else f"{said} ({ends})"
 
 
-def arm_table(results: Results, paper: Mapping[str, float]) -> Table:
-    """A row an arm, the paper's figure beside ours."""
-    rows, budget = [], results["config"]["episodes"]
+def per_seed(summary: Summary, unsolved: float = np.inf) -> np.ndarray:
+    """A figure of each run ``[seeds]``."""
+    return np.array([unsolved if one is None else one for one in summary["per_seed"]], float)
+
+
+def solve_table(
+    results: Results, figure: str = "episodes_to_solve", paper: Mapping[str, float] | None = None
+) -> Table:
+    """A row an arm: ``episodes_to_solve`` or ``first_solved``, the paper's own figure beside ours,
+    and the real steps.
+    """
+    said, budget = figure.replace("_", " "), results["config"]["episodes"]
+    table = [["arm", "paper", f"{said} (of {budget:,}): mean (95% interval)", "median", "solved",
+              "real steps before: median"]]  # fmt: skip
     for name, arm in results["arms"].items():
-        solve, steps = arm["episodes_to_solve"], arm["real_steps_to_solve"]
-        rows.append(
-            [
-                name,
-                *([f"{paper[name]:g}" if name in paper else "-"] if paper else []),
-                with_interval(solve),
-                number(solve, "median"),
-                f"{solve['solved']}/{solve['seeds']}",
-                number(steps, "median"),
-            ]
-        )
-    header = ["arm", *(["paper"] if paper else [])]
-    header += [f"episodes to solve (of {budget:,}): mean (95% interval)", "median", "solved"]
-    return [*header, "real steps before: median"], rows
-
-
-def end_table(results: Results, window: int) -> Table:
-    """How each arm ended: episodes played, last returns, and whether what was solved held."""
-    rows = [
-        [
-            name,
-            f"{arm['episodes_played']['mean']:,.0f}",
-            with_interval(arm["final_return"], 1),
-            f"{arm['solved_and_held']}/{arm['final_return']['seeds']}",
-        ]
-        for name, arm in results["arms"].items()
-    ]
-    return ["arm", "episodes played", f"return of a run's last {window}: mean (95% interval)",
-            "solved and held"], rows  # fmt: skip
-
-
-def quantile_table(results: Results, figure: str) -> Table:
-    """Quantiles of an arm's figure, such as ``first_solved``, over its runs."""
-    header = ["arm", *(f"{percent}%" for percent in QUANTILES), "latest"]
-    rows = []
-    for name, arm in results["arms"].items():
-        values = arm[figure]["per_seed"]
-        first = np.array([np.inf if value is None else value for value in values])
-        marks = np.percentile(first, [*QUANTILES, 100], method="inverted_cdf")
-        shown = ["never" if np.isinf(mark) else f"{mark:,.0f}" for mark in marks]
-        rows.append([name, *shown])
+        solve, papers = arm[figure], (paper or {}).get(name)
+        table.append([
+            name, "-" if papers is None else f"{papers:g}", with_interval(solve),
+            number(solve, "median"), f"{solve['solved']}/{solve['seeds']}",
+            number(arm["real_steps_to_solve"], "median"),
+        ])  # fmt: skip
+    header, *rows = table if paper else [[name, *rest] for name, _, *rest in table]
     return header, rows
-
-
-def time_table(results: Results) -> Table:
-    """Seconds of each arm, and of all."""
-    timing = results["timing"]
-    rows = [
-        [name, f"{one.get('compile_s', 0):,.1f}",
-         f"{one.get('run_s', one.get('measure_s', 0)):,.1f}"]
-        for name, one in timing["arms"].items()
-    ]  # fmt: skip
-    rows.append(["all, with drawing", "", f"{timing['total_s']:,.1f}"])
-    cores = results["device"]["cpu_cores"]
-    return [f"arm ({cores} cores)", "compiling (s)", "running and judging (s)"], rows
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -4,17 +4,15 @@ A world has an option ``judged_on: Literal["own", "common"]``, and where it is `
 models are judged `on_common` transitions; a study sets it for all of its rows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxdyna.dyna import Dyna
-from jaxdyna.experiments.report import studies
+from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report.rows import bounded, limit
-from jaxdyna.experiments.report.sections import Section, paragraphs
+from jaxdyna.experiments.report.sections import paragraphs, told
 from jaxdyna.experiments.report.summaries import Curves
 from jaxdyna.statistics import rank_correlation
 from jaxdyna.types import Transition
@@ -62,39 +60,30 @@ def describe(measure: Measure) -> Callable[[Any, Curves], dict[str, Any]]:
     return described
 
 
-def accuracy(measure: Measure, column: str = "episodes_to_solve") -> Section:
+@told
+def accuracy(record: Any, measure: Measure, column: str = "episodes_to_solve") -> str:
     """Solving against the model's error; empty with fewer than three models to compare."""
-
-    def section(record: Any) -> str:
-        arms = record.results["arms"]
-        error = {
-            name: np.array(arm["model_error"], float)
-            for name, arm in arms.items()
-            if np.isfinite(np.array(arm.get("model_error", np.nan), float)).all()
-        }
-        solved = {name: bounded(arm[column]) for name, arm in arms.items()}
-        hollow = [name for name in error if name.startswith(measure.hollow)]
-        compared = [name for name in error if name not in hollow]
-        axis = column.replace("_", " ")
-        if len(compared) < 3:
-            return ""
-        studies.error_scatter(
-            record.out / "accuracy.png", error, solved,
-            {name: solved[name].mean() for name in measure.lines if name in solved},
-            limit(arms, column), measure.axis, axis, hollow,
-        )  # fmt: skip
-        rank, low, high = rank_correlation(
-            np.stack([error[name] for name in compared]),
-            np.stack([solved[name] for name in compared]),
-        )
-        return paragraphs(
-            "## Solving against the model's error",
-            f"![{axis} against the model's error](accuracy.png)",
-            f"{measure.said} Mean over the first {measure.episodes} episodes with dreams. Rank "
-            f"correlation of mean error and mean {axis} over {len(compared)} models (those that "
-            "are hollow in the figure, which are no worse, apart): "
-            f"{rank:.2f} (95% percentile bootstrap over seeds {low:.2f} to {high:.2f}). 1 would "
-            "be the paper's claim without exception.",
-        )
-
-    return section
+    arms, axis = record.results["arms"], column.replace("_", " ")
+    errors = {name: np.array(arm.get("model_error", np.nan), float) for name, arm in arms.items()}
+    errors = {name: error for name, error in errors.items() if np.isfinite(error).all()}
+    solved = {name: bounded(arm[column]) for name, arm in arms.items()}
+    hollow = [name for name in errors if name.startswith(measure.hollow)]
+    compared = [name for name in errors if name not in hollow]
+    if len(compared) < 3:
+        return ""
+    plots.error_scatter(
+        record.out / "accuracy.png", errors, solved,
+        {name: solved[name].mean() for name in measure.lines if name in solved}, measure.axis,
+        f"{axis} (unsolved counted as {limit(arms, column)})", hollow,
+    )  # fmt: skip
+    rank, low, high = rank_correlation(
+        *(np.stack([values[name] for name in compared]) for values in (errors, solved))
+    )
+    return paragraphs(
+        "## Solving against the model's error",
+        f"![{axis} against the model's error](accuracy.png)",
+        f"{measure.said} Mean over the first {measure.episodes} episodes with dreams. Rank "
+        f"correlation of mean error and mean {axis} over {len(compared)} models (those that are "
+        f"hollow in the figure, which are no worse, apart): {rank:.2f} (95% percentile bootstrap "
+        f"over seeds {low:.2f} to {high:.2f}). 1 would be the paper's claim without exception.",
+    )

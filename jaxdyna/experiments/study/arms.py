@@ -1,7 +1,5 @@
 """The arms that every comparison is made of, each from the same parts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -35,13 +33,8 @@ ABSENT = (
 
 
 class Hooks(NamedTuple):
-    """What an experiment wants to know of its arms' runs.
-
-    Attributes:
-        judge: of every run that is over.
-        show: of the first one.
-        piece: see `Work`.
-        block: see `Work`.
+    """What an experiment wants to know of its arms' runs: of every one that is over, and of the
+    first alone; ``piece`` and ``block`` as in `Work`.
     """
 
     judge: Judged | None = None
@@ -56,9 +49,7 @@ def dyna_work(dyna: Dyna, config: DynaConfig, hooks: Hooks) -> Work:
     step = make_step(dyna, config, (RUNS,))
 
     def told(judged: Judged | None) -> Any:
-        if judged is None:
-            return None
-        return lambda state, _, key, hparams: judged(dyna, config, state, key, hparams)
+        return judged and (lambda state, _, *rest: judged(dyna, config, state, *rest))
 
     return Work(
         init=make_init(dyna, config),
@@ -73,17 +64,9 @@ def dyna_arm(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, hooks: Hooks)
 
 
 def standard_arms(
-    dyna: Dyna,
-    config: DynaConfig,
-    hparams: DynaHParams,
-    truth: Dream | None,
-    hooks: Hooks,
-    *,
-    replays: bool = True,
-    untrained: Mapping[str, Any] | None = None,
-    real_only: Callable[[Any], Any] | None = None,
-    busier: Agent | None = None,
-) -> dict[str, Made]:
+    dyna: Dyna, config: DynaConfig, hparams: DynaHParams, truth: Dream | None, hooks: Hooks, *,
+    replays: bool = True, untrained: Mapping[str, Any] | None = None, busier: Agent | None = None,
+) -> dict[str, Made]:  # fmt: skip
     """What makes each of the standard arms, by name; see `SAID`.
 
     Args:
@@ -94,9 +77,8 @@ def standard_arms(
         hooks: what is wanted of the runs.
         replays: whether the oracle's dreams begin in the replay, which then is kept for it.
         untrained: what the placebo changes in ``hparams`` beside the model's training.
-        real_only: from the agent's hparams to those with which it learns from real steps alone;
-            None where an agent cannot learn from old ones.
-        busier: the agent with the updates after dreams made after real episodes.
+        busier: a DQN with the updates after dreams made after real episodes; None where the agent
+            cannot learn from old steps.
     """
     make = partial(partial, dyna_arm, hooks=hooks)
     never: dict[str, Any] = {"model_trains": False, "disagreement_threshold": math.inf}
@@ -111,10 +93,9 @@ def standard_arms(
         keeping = dyna._replace(diagnose=None) if replays else alone
         arms["oracle"] = make(keeping._replace(dream=truth), replace(config, model_updates=0),
                               hparams)  # fmt: skip
-    if real_only is not None:
-        all_real = replace(hparams, **never, agent=real_only(hparams.agent))
-        arms["more_updates"] = make(dyna._replace(diagnose=None), config, all_real)
     if busier is not None:
+        all_real = replace(hparams, **never, agent=replace(hparams.agent, fake_share=0.0))
+        arms["more_updates"] = make(dyna._replace(diagnose=None), config, all_real)
         arms["max_updates"] = make(alone._replace(agent=busier), config, hparams)
     return arms
 
@@ -122,11 +103,6 @@ def standard_arms(
 def greedy(hparams: Any) -> Any:
     """A DQN's hparams without exploration."""
     return replace(hparams, epsilon_first=0.0, epsilon_last=0.0)
-
-
-def real_steps(hparams: Any) -> Any:
-    """A DQN's hparams with which it learns from real steps alone."""
-    return replace(hparams, fake_share=0.0)
 
 
 def busy(config: Any) -> Any:

@@ -1,7 +1,5 @@
 """The parts of a Dyna run on stacked frames, the same for every world that is seen so."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -20,11 +18,9 @@ from jaxdyna.types import Agent, DynamicsModel, Environment, Key, Transition
 
 
 def frame_dyna(
-    env: Environment,
-    agent: Agent,
-    model: DynamicsModel,
+    env: Environment, agent: Agent, model: DynamicsModel,
     watch: Callable[[Transition, Any, Any], Metrics] | None = None,
-) -> Dyna:
+) -> Dyna:  # fmt: skip
     """Dyna whose dreams begin at any replayed stack of frames, and whose model sees rewards and
     punishments more often than they come.
     """
