@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from typing import Any, ClassVar, Literal
 
 import jax
@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jaxdyna import frame_replay
 from jaxdyna.envs import FrameStack
 from jaxdyna.experiments.engine import Arm, Experiment, Work
-from jaxdyna.experiments.frames.options import FrameOptions, Training, decayed_adam, without_stages
+from jaxdyna.experiments.frames.options import FrameOptions, Training, decayed_adam
 from jaxdyna.experiments.frames.report import FrameReport
-from jaxdyna.experiments.frames.training import frame_work, stages
+from jaxdyna.experiments.frames.training import frame_arms, frame_work
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
 from jaxdyna.fields import setting
 from jaxdyna.frame_replay import FrameReplay
@@ -37,6 +37,8 @@ SAID = {
     "lean_l1": "the same under L1.",
 }
 """What the models are."""
+TRAINED = {arm: arm.partition("_")[0] for arm in SAID}
+"""As which of them they are trained: ``paper`` or ``lean``."""
 HEADS = {"joint": JointReward(), "local": LocalReward(), "none": None}
 
 
@@ -45,16 +47,13 @@ class GridOptions(FrameOptions):
     """Frame models of a grid; a subclass has its `world`.
 
     Attributes:
-        dream_from: step of a held-out episode from which models dream.
         own_head: the reward head of our models.
         channels: see `World`.
     """
 
-    dream_from: ClassVar[int] = 0
     own_head: ClassVar[str] = "local"
     channels: ClassVar[tuple[int, ...]] = (0, 1, 2)
 
-    steps: int = setting(200, "steps of an episode", at_least=1, everyday=True)
     arms: tuple[str, ...] = setting(("paper", "lean"), "the models that are trained", everyday=True)
     episodes: int = setting(300, "episodes of the random policy at the most", at_least=1,
                             everyday=True)  # fmt: skip
@@ -92,11 +91,6 @@ class GridOptions(FrameOptions):
                 f"--kernels {self.kernels} leave nothing of a world of {side} cells a side: "
                 "give smaller ones, or a larger world"
             )
-        if self.dream_from + self.horizon > self.steps:
-            raise ValueError(
-                f"--horizon is {self.horizon}: {self.dream_from} steps and it, where dreams end, "
-                f"must be at most an episode's {self.steps} steps"
-            )
 
     @property
     def played(self) -> list[int]:
@@ -122,18 +116,12 @@ def experiment(
 
 def arms(options: GridOptions) -> dict[str, Callable[[], Arm]]:
     """Every model at every stage; one with another loss at that of the ablation alone."""
-    made: dict[str, Callable[[], Arm]] = {}
-    program = without_stages(options, ("paper", "lean"))
-    for arm in SAID:
-        played = options.played if arm in ("paper", "lean") else [near(options, options.played)]
-        parts = {str(stage): (stage, stage) for stage in played}
-        made |= stages(arm, partial(work, program, arm), training_of(options, arm), parts)
-    return made
 
+    def parts(arm: str) -> dict[str, tuple[int, int]]:
+        played = options.played if arm == TRAINED[arm] else [near(options, options.played)]
+        return {str(stage): (stage, stage) for stage in played}
 
-def training_of(options: GridOptions, arm: str) -> Training:
-    """The paper's, or ours."""
-    return options.paper if arm.startswith("paper") else options.lean
+    return frame_arms(options, TRAINED, work, parts)
 
 
 def near(options: GridOptions, stages: Any) -> Any:
@@ -153,7 +141,7 @@ def work(options: GridOptions, arm: str) -> Work:
     believe = frame_probability(env.num_actions, config)
     rules = (("lit", model.predict), ("drawn", drawing.predict))
     asked = Asked(believe, rules, config.threshold or 0.5, config.reward is not None)
-    training = training_of(options, arm)
+    training: Training = getattr(options, TRAINED[arm])
     world = random_episodes(options, training.rare_share)
     return frame_work(world, model, asked, training.batch, options.block)
 
@@ -162,7 +150,7 @@ def config_of(options: GridOptions, arm: str) -> PixelConfig:
     """The model of this arm. The paper's threshold of 0.2 serves its cross-entropy; 0.5 serves
     ours, and L1 and L2, whose outputs are no probabilities.
     """
-    papers, training = arm.startswith("paper"), training_of(options, arm)
+    papers, training = TRAINED[arm] == "paper", getattr(options, TRAINED[arm])
     loss = {"l1": l1, "l2": l2}.get(arm.partition("_")[2], bce)
     own = "joint" if arm == "paper_reward" else ("none" if papers else options.own_head)
     network: Any = LocalDynamics(3, options.lean_widths)

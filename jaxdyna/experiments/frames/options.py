@@ -1,17 +1,14 @@
 """Settings that all experiments on frames have."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import optax
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine import Options
-from jaxdyna.fields import changed, setting
-
-T = TypeVar("T")
+from jaxdyna.fields import setting
 
 
 @dataclass(frozen=True)
@@ -43,19 +40,25 @@ class Training:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOptions(Options):
-    """What every experiment on frames can be told."""
+    """What every experiment on frames can be told; ``dream_from`` is the first step of a held-out
+    episode from which models dream.
+    """
 
     decided: ClassVar = {"stop_after_solved": "the model's updates"}
+    dream_from: ClassVar[int] = 0
 
+    steps: int = setting(200, "steps of an episode", at_least=1, everyday=True)
     stop_after_solved: int | None = setting(None, "nothing is solved")
     held_out: int = setting(20, "new episodes that models are judged on", at_least=1, everyday=True)
     horizon: int = setting(50, "steps of an open-loop dream", at_least=1, everyday=True)
 
-
-def without_stages(options: T, trainings: Sequence[str]) -> T:
-    """The options without what `Stage` holds of these trainings: what decides the program."""
-    alike = {"updates": 1, "updates_per_episode": 0.0, "learning_rate": 1.0}
-    return changed(options, {f"{of}.{name}": alike[name] for of in trainings for name in alike})
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.dream_from + self.horizon > self.steps:
+            raise fields.SettingError(
+                "horizon", f"is {self.horizon}: {self.dream_from} steps and it, where dreams end, "
+                f"must be at most an episode's {self.steps} steps",
+            )  # fmt: skip
 
 
 @cache

@@ -13,6 +13,7 @@ from jaxdyna.experiments.engine import Arm, Work
 from jaxdyna.experiments.frames import judging
 from jaxdyna.experiments.frames.options import Training
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
+from jaxdyna.fields import changed
 from jaxdyna.models import PixelHParams
 from jaxdyna.types import DynamicsModel, Key
 
@@ -70,15 +71,28 @@ def frame_work(
     )  # fmt: skip
 
 
-def stages(
-    model: str, work: Callable[[], Work], training: Training, parts: Mapping[str, tuple[int, int]]
-) -> dict[str, Callable[[], Arm]]:
-    """A model's arms, of which ``work`` always makes the same; ``parts`` are by the stage's name
-    `Stage.part`, and how many episodes that are.
+def frame_arms(
+    options: Any, models: Mapping[str, str], work: Callable[[Any, str], Work],
+    parts: Callable[[str], Mapping[str, tuple[int, int]]],
+) -> dict[str, Callable[[], Arm]]:  # fmt: skip
+    """Every model at each of its stages.
+
+    Args:
+        options: the experiment's.
+        models: by name, which of the options is their `Training`.
+        work: from the options, without what `Stage` holds of them, and a model to its training.
+        parts: of a model by stage: `Stage.part`, and how many episodes that are.
     """
+    alike = {"updates": 1, "updates_per_episode": 0.0, "learning_rate": 1.0}
+    overrides = {f"{of}.{name}": alike[name] for of in models.values() for name in alike}
+    program = changed(options, overrides)
 
-    def arm(part: int, episodes: int) -> Arm:
+    def arm(model: str, part: int, episodes: int) -> Arm:
+        training: Training = getattr(options, models[model])
         updates = training.updates_at(episodes)
-        return Arm(work(), Stage(part, updates, training.learning_rate), updates)
+        return Arm(work(program, model), Stage(part, updates, training.learning_rate), updates)
 
-    return {f"{model}@{name}": partial(arm, *part) for name, part in parts.items()}
+    return {
+        f"{model}@{stage}": partial(arm, model, *part)
+        for model in models for stage, part in parts(model).items()
+    }  # fmt: skip

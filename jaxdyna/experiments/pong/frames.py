@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from typing import Any, ClassVar, Literal
 
 import jax
@@ -13,9 +13,9 @@ from jaxdyna import losses, models
 from jaxdyna.envs import AtariPong, PongParams
 from jaxdyna.envs.pong_screen import mixture_of, shares_of
 from jaxdyna.experiments.engine import Arm, Experiment, Record, Runs, Work
-from jaxdyna.experiments.frames.options import FrameOptions, Training, without_stages
+from jaxdyna.experiments.frames.options import FrameOptions, Training
 from jaxdyna.experiments.frames.report import FrameReport
-from jaxdyna.experiments.frames.training import frame_work, stages
+from jaxdyna.experiments.frames.training import frame_arms, frame_work
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
 from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.data import Played, collect, play, screens, states, take
@@ -23,11 +23,9 @@ from jaxdyna.experiments.pong.world import OBJECTS, PALETTES
 from jaxdyna.experiments.report import frames as pictures
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report import tables
-from jaxdyna.fields import SettingError, changed, setting
+from jaxdyna.fields import changed, setting
 from jaxdyna.types import DynamicsModel, Key, Transition
 
-DREAM_FROM = 10
-"""Step of a held-out episode from which the first dream begins."""
 Policy = Literal["random", "mixed"]
 POLICIES: tuple[Policy, ...] = ("random", "mixed")
 MIXED = POLICIES.index("mixed")
@@ -51,6 +49,7 @@ class PongFrames(world.GameOptions, FrameOptions):
         f"{model}.{name}": "the experiment, whose models predict frames alone"
         for model in ("paper", "ours") for name in ("rare_share", "reward_weight")
     }  # fmt: skip
+    dream_from: ClassVar = 10
 
     arms: tuple[str, ...] = setting(tuple(SAID), "the models that are trained", everyday=True)
     episodes: int = setting(1000, "of each policy, that a model is trained on", at_least=1,
@@ -66,24 +65,12 @@ class PongFrames(world.GameOptions, FrameOptions):
     ours: Training = setting(factory=lambda: Training(6000, 0, 256, 2e-3, 0.1, None),
                              help="training of ours")  # fmt: skip
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if DREAM_FROM + self.horizon > self.steps:
-            raise SettingError(
-                "horizon", f"is {self.horizon}: {DREAM_FROM} steps and it, where the first dream "
-                f"ends, must be at most the {self.steps} of an episode",
-            )  # fmt: skip
-
 
 def arms(options: PongFrames) -> dict[str, Callable[[], Arm]]:
     """Every model, trained on the episodes of each policy."""
-    program = without_stages(options, ("paper", "ours"))
     parts = {str(one): (POLICIES.index(one), options.episodes) for one in options.policies}
-    made: dict[str, Callable[[], Arm]] = {}
-    for arm in SAID:
-        training = options.ours if arm == "ours" else options.paper
-        made |= stages(arm, partial(work, program, arm), training, parts)
-    return made
+    trained = {arm: "ours" if arm == "ours" else "paper" for arm in SAID}
+    return frame_arms(options, trained, work, lambda arm: parts)
 
 
 @cache
@@ -168,10 +155,10 @@ def world_of(options: PongFrames) -> World:
         there = jax.tree.map(lambda leaf: leaf[episode, times + 1], data[1].world)
         return jax.vmap(source.objects)(there)
 
-    room, gaps = steps - options.horizon - DREAM_FROM, max(options.dreams - 1, 1)
+    room, gaps = steps - options.horizon - options.dream_from, max(options.dreams - 1, 1)
     return World(
         None if real else data, draw, look, truth, options.held_out, steps,
-        tuple(DREAM_FROM + room * number // gaps for number in range(options.dreams)),
+        tuple(options.dream_from + room * number // gaps for number in range(options.dreams)),
         options.horizon, tuple(OBJECTS.values()), lambda data: _example(options, truth, data),
         shares=lambda frames: shares_of(frames, palette),
         apart=lambda truth: unserved(truth[..., OBJECTS["ball"]]),
