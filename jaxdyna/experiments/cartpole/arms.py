@@ -1,42 +1,24 @@
 """The arms of CartPole: the standard ones, and planners on the learned model."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna import replay
-from jaxdyna.agents import CloningConfig, ReinforceConfig, cloning, policy_logits, reinforce
+from jaxdyna import agents, models, planners, replay
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState
 from jaxdyna.envs import CartPole, CartPoleParams
 from jaxdyna.experiments.cartpole import model
 from jaxdyna.experiments.cartpole.options import CartPoleOptions
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
-from jaxdyna.experiments.study.planners import acting, showing, without_guide
-from jaxdyna.models import (
-    LearnedEnvironment,
-    LearnedParams,
-    SupervisedConfig,
-    supervised,
-    uniform_start,
-)
+from jaxdyna.experiments.study.frames import learned_params
+from jaxdyna.experiments.study.planners import MakeGuide, acting, without_guide
 from jaxdyna.models.evaluation import Predict, change_error
-from jaxdyna.planners import (
-    Guide,
-    SearchConfig,
-    ShootingConfig,
-    muzero,
-    random_shooting,
-    rollout_value,
-)
-from jaxdyna.types import Key
+from jaxdyna.types import Agent
 
 IMITATES = (
     "`mpc` plays `shown_episodes`, which the policy imitates (Nagabandi et al. 2018); then it"
@@ -50,86 +32,72 @@ SAID = study.SAID | {
     "mpc_init_dyna": f"{IMITATES} goes on with dreams like `dyna`.",
     "mpc_clone": f"{IMITATES} stays as it is.",
 }
+TRUTH = Dream(CartPole(), lambda _, hparams: hparams.env)
+"""The oracle's dreams."""
+STARTS: dict[str, Any] = {
+    "observed": (lambda key, firsts: replay.sample(firsts, key, ()), lambda state: state.starts),
+    "uniform": (models.uniform_start(-0.1, 0.1), lambda state: jnp.zeros(4)),
+    "branched": (lambda key, held: replay.sample(held, key, ()).obs, lambda state: state.replay),
+}
+"""Where dreams begin: how that is drawn, and from what of a run's state."""
 
 
 def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]:
     """What makes each arm; ``judged``: and judges its model in the end."""
-    dreams = Dreams(options.dream_start, options.dream_noise, options.authors_bug)
-    dyna = parts(options.agent, options.model, dreams, options.judged_on == "common")
+    dyna, config, hparams = parts(options), options.dyna, options.hparams
+    dream: Any = dyna.dream
     hooks = study.Hooks(
         model.judge if judged else None, model.show if judged else None, block=options.block
     )
-    config, hparams = options.dyna, options.hparams
-    truth = Dream(dyna.env, lambda _, hparams: hparams.env)
     made = study.standard_arms(
-        dyna, config, hparams, truth, hooks, replays=False,
+        dyna, config, hparams, TRUTH, hooks, replays=False,
         untrained={"termination_threshold": 1.0},
     )  # fmt: skip
-
-    def planned(make: Callable[..., Dyna], *settings: Any) -> study.Made:
-        alone = replace(config, dream_updates=0)
-        return lambda: study.dyna_arm(make(dyna, *settings), alone, hparams, hooks)
-
-    shown = (options.mpc, options.agent, options.cloning, options.shown_episodes)
     late = replace(hparams, num_real_first=config.num_real_first + options.shown_episodes)
+
+    def dreamless(dyna: Dyna) -> Any:
+        dyna, alone = dyna._replace(dream=None), replace(config, dream_updates=0)
+        return study.dyna_arm(dyna, alone, hparams, hooks)
+
+    def shown() -> Dyna:
+        imitating = dyna._replace(agent=imitator(options.agent, options.cloning))
+        return acting(imitating, shooting, options.mpc, without_guide, options.shown_episodes)
+
+    shooting, resting = planners.random_shooting, with_agent(dyna, update_expert=learn_nothing)
+    at_leaves = random_episodes(dream.env, options.mcts.discount, options.mcts_rollout)
     return made | {
-        "mpc": planned(mpc, options.mpc),
-        "mcts": planned(mcts, options.mcts, options.mcts_rollout),
-        "mpc_init": planned(mpc_init, *shown),
-        "mpc_init_dyna": lambda: study.dyna_arm(mpc_shows(dyna, *shown), config, late, hooks),
-        "mpc_clone": planned(mpc_clone, *shown),
+        "mpc": lambda: dreamless(acting(resting, shooting, options.mpc, without_guide)),
+        "mcts": lambda: dreamless(acting(resting, planners.muzero, options.mcts, at_leaves)),
+        "mpc_init": lambda: dreamless(shown()),
+        "mpc_init_dyna": lambda: study.dyna_arm(shown(), config, late, hooks),
+        "mpc_clone": lambda: dreamless(with_agent(shown(), update=learn_nothing)),
     }
 
 
-class Dreams(NamedTuple):
-    """What decides the world of the dreams beside the model, see `CartPoleOptions`."""
-
-    start: str
-    noise: float
-    authors_bug: bool
+def parts(options: CartPoleOptions) -> Dyna:
+    """The parts of the ``dyna`` arm: one object, and so one program, whatever the hparams."""
+    said = options.dream_start, options.dream_noise, options.authors_bug
+    return _parts(options.agent, options.model, *said, options.judged_on == "common")
 
 
 @cache
-def parts(
-    agent: ReinforceConfig, config: SupervisedConfig, dreams: Dreams, common: bool = False
-) -> Dyna:
-    """The parts of the ``dyna`` arm: one object, and so one program, for the same settings."""
+def _parts(
+    agent: agents.ReinforceConfig, config: models.SupervisedConfig, start: str, noise: float,
+    authors_bug: bool, common: bool,
+) -> Dyna:  # fmt: skip
     env = CartPole()
-    learner = supervised(4, env.num_actions, config)
-    predict = overwrite_angle(learner.predict) if dreams.authors_bug else learner.predict
-    predict = add_noise(predict, dreams.noise) if dreams.noise else predict
-    learned = LearnedEnvironment(env, predict, START_STATES[dreams.start])
+    learner = models.supervised(4, env.num_actions, config)
+    predict = overwrite_angle(learner.predict) if authors_bug else learner.predict
+    predict = add_noise(predict, noise) if noise else predict
+    draw, source = STARTS[start]
 
-    def learned_params(state: DynaState, hparams: DynaHParams) -> LearnedParams:
-        sources = {"observed": state.starts, "uniform": jnp.zeros(4), "branched": state.replay}
-        return LearnedParams(
-            model=state.model.params,
-            start=sources[dreams.start],
-            termination_threshold=hparams.termination_threshold,
-            disagreement_threshold=hparams.disagreement_threshold,
-            max_steps=hparams.env.max_steps,
-        )
+    def params(state: DynaState, hparams: DynaHParams) -> models.LearnedParams:
+        return replace(learned_params(state, hparams), start=source(state))
 
-    policy = reinforce((4,), env.num_actions, agent)
-    dyna = Dyna(env, policy, learner, Dream(learned, learned_params), change_error(predict))
+    policy = agents.reinforce((4,), env.num_actions, agent)
+    dream = Dream(models.LearnedEnvironment(env, predict, draw), params)
+    dyna = Dyna(env, policy, learner, dream, change_error(predict))
     return on_common(dyna, model.common_transitions()) if common else dyna
-
-
-def draw_observed(key: Key, starts: replay.Replay) -> jax.Array:
-    """One of the first observations of real episodes."""
-    return replay.sample(starts, key, ())
-
-
-def draw_branched(key: Key, held: replay.Replay) -> jax.Array:
-    """One of all real observations."""
-    return replay.sample(held, key, ()).obs
-
-
-START_STATES = {
-    "observed": draw_observed,
-    "uniform": uniform_start(-0.1, 0.1),
-    "branched": draw_branched,
-}
 
 
 def add_noise(predict: Predict, scale: float) -> Predict:
@@ -160,61 +128,25 @@ def overwrite_angle(predict: Predict) -> Predict:
 
 
 @cache
-def mpc(dyna: Dyna, config: ShootingConfig) -> Dyna:
-    """Random shooting acts."""
-    return acting(resting(dyna), random_shooting(world(dyna), config), without_guide)
+def random_episodes(env: Any, discount: float, steps: int) -> MakeGuide:
+    """A leaf of a tree search is worth what a random episode from it earns in ``env``."""
+    return lambda state, hparams, params: planners.Guide(
+        value=planners.rollout_value(env, params, steps, discount)
+    )
 
 
 @cache
-def mcts(dyna: Dyna, config: SearchConfig, rollout_steps: int) -> Dyna:
-    """Tree search acts; a leaf is worth what a random episode from it earns in the model."""
-    guide = random_episodes(dyna, config.discount, rollout_steps)
-    return acting(resting(dyna), muzero(world(dyna), config), guide)
-
-
-@cache
-def mpc_shows(
-    dyna: Dyna, config: ShootingConfig, agent: ReinforceConfig, imitation: CloningConfig, shown: int
-) -> Dyna:
-    """Random shooting shows the policy what to do; ``dyna`` goes on."""
-    num_actions = dyna.env.num_actions
+def imitator(agent: agents.ReinforceConfig, imitation: agents.CloningConfig) -> Agent:
+    """A policy that imitates what it is shown."""
+    actions = CartPole().num_actions
     example = (jax.ShapeDtypeStruct((4,), np.float32), jax.ShapeDtypeStruct((), np.int32))
-    logits = policy_logits(num_actions, agent)
-    imitator = cloning(reinforce((4,), num_actions, agent), logits, example, imitation)
-    return showing(dyna, random_shooting(world(dyna), config), without_guide, imitator, shown)
+    policy, log_odds = agents.reinforce((4,), actions, agent), agents.policy_logits(actions, agent)
+    return agents.cloning(policy, log_odds, example, imitation)
 
 
-@cache
-def mpc_init(dyna: Dyna, *shown: Any) -> Dyna:
-    """As `mpc_shows`; model-free learning goes on."""
-    return mpc_shows(dyna, *shown)._replace(dream=None)
-
-
-@cache
-def mpc_clone(dyna: Dyna, *shown: Any) -> Dyna:
-    """As `mpc_shows`; the policy stays as it is from then on."""
-    imitator = mpc_init(dyna, *shown)
-    return imitator._replace(agent=imitator.agent._replace(update=learn_nothing))
-
-
-def world(dyna: Dyna) -> Any:
-    """The environment that ``dyna`` dreams in."""
-    assert dyna.dream is not None
-    return dyna.dream.env
-
-
-def random_episodes(dyna: Dyna, discount: float, steps: int) -> Any:
-    """Guides a planner by random episodes in the model."""
-
-    def guide(state: DynaState, hparams: DynaHParams, env_params: Any) -> Guide:
-        return Guide(value=rollout_value(world(dyna), env_params, steps, discount))
-
-    return guide
-
-
-def resting(dyna: Dyna) -> Dyna:
-    """With an agent that learns nothing from the episodes that a planner plays."""
-    return dyna._replace(agent=dyna.agent._replace(update_expert=learn_nothing))
+def with_agent(dyna: Dyna, **changes: Any) -> Dyna:
+    """With other updates of the agent."""
+    return dyna._replace(agent=dyna.agent._replace(**changes))
 
 
 def learn_nothing(state: Any, transitions: Any, key: Any, hparams: Any) -> tuple[Any, Any]:

@@ -4,29 +4,26 @@ In each run a policy is trained; the model is then fitted to equally many transi
 sources, and each fit is judged on new episodes of three policies.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxdyna import replay
-from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics, make_train
-from jaxdyna.experiments.cartpole.arms import Dreams, parts
+from jaxdyna.dyna import DynaConfig, DynaHParams, DynaState, Metrics, make_train, train_model
+from jaxdyna.experiments.cartpole.arms import parts
 from jaxdyna.experiments.cartpole.model import explained
 from jaxdyna.experiments.cartpole.options import TUNED
 from jaxdyna.experiments.engine import Arm, Experiment, Options, Work
-from jaxdyna.experiments.report import plots
+from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report import sections as report
-from jaxdyna.experiments.report.summaries import Curves, mean_of_runs
-from jaxdyna.experiments.report.tables import Results, Table, markdown_table, runs, with_interval
+from jaxdyna.experiments.report.summaries import Curves, by_class
 from jaxdyna.fields import changed, setting
 from jaxdyna.models.evaluation import one_step_sums, open_loop
 from jaxdyna.rollout import rollout
-from jaxdyna.types import DynamicsModel, Key, Transition
+from jaxdyna.types import Key, Transition
 
 SOURCES = ("random policy", "trained policy", "all policies of a learning run")
 JUDGES = {
@@ -46,10 +43,6 @@ class DataOptions(Options):
 
     decided: ClassVar = {"stop_after_solved": "the study, whose runs go on to the end"}
 
-    seeds: int = setting(20, "runs", at_least=1, everyday=True)
-    episodes: int = setting(
-        300, "real episodes of the learning run that trains the policy", at_least=1, everyday=True
-    )
     transitions: int = setting(4000, "transitions that each model gets", at_least=1, everyday=True)
     updates: int = setting(6000, "gradient steps of each model", at_least=1, everyday=True)
     judged_episodes: int = setting(
@@ -60,37 +53,34 @@ class DataOptions(Options):
 class Setup(NamedTuple):
     """What is learned with."""
 
-    dyna: Dyna
-    model: DynamicsModel
+    dyna: Any
     config: DynaConfig
     hparams: DynaHParams
+
+    def play(self, act: Any, key: Key, episodes: int) -> Transition:
+        """Real episodes ``[episodes, T]``."""
+        steps = self.config.num_steps
+        return rollout(self.dyna.env, act, key, self.hparams.env, episodes, num_steps=steps)
 
 
 @cache
 def work(options: DataOptions) -> Work:
-    """A run in one unit."""
+    """A run in one unit: ``r2`` ``[source, judge]`` and ``open_loop`` ``[source, HORIZON]``."""
     tuned = changed(
         TUNED, {"episodes": options.episodes, "dyna.model_updates": 0, "dyna.num_real_first": 0}
     ).resolved()
-    dyna = parts(tuned.agent, tuned.model, Dreams("observed", 0.0, False))
-    dyna, model = dyna._replace(dream=None, diagnose=None), dyna.model
-    assert model is not None
-    setup, learn = Setup(dyna, model, tuned.dyna, tuned.hparams), make_train(dyna, tuned.dyna)
+    dyna = parts(tuned)._replace(dream=None, diagnose=None)
+    learn = make_train(dyna, tuned.dyna)
+    setup = Setup(dyna, replace(tuned.dyna, model_updates=options.updates), tuned.hparams)
 
     def study(key: Key) -> Metrics:
-        """``r2`` ``[source, judge]`` and ``open_loop`` ``[source, HORIZON]``."""
         key_run, key_play, key_fit, key_test, key_judge = jax.random.split(key, 5)
         state, _ = learn(key_run, setup.hparams)
         policies = [_policy(setup, state.agent, share) for share in JUDGES.values()]
-        found = [
-            _single(setup, act, key, options.transitions)
-            for act, key in zip(policies[:2], jax.random.split(key_play, 2), strict=True)
-        ]
+        single = partial(_single, setup, count=options.transitions)
+        found = [*map(single, policies, jax.random.split(key_play, 2))]
         found.append(replay.sample_distinct(state.replay, key_test, options.transitions))
-        keys = jax.random.split(key_fit, len(SOURCES))
-        fitted = [
-            _fit(setup, key, data, options.updates) for key, data in zip(keys, found, strict=True)
-        ]
+        fitted = [*map(partial(_fit, setup), jax.random.split(key_fit, len(SOURCES)), found)]
         return _judge(setup, fitted, policies, key_judge, options.judged_episodes)
 
     return Work(
@@ -114,61 +104,48 @@ def _single(setup: Setup, act: Any, key: Key, count: int) -> Transition:
     """``count`` transitions of one policy, none twice, drawn from whole episodes of it."""
     key_play, key_sample = jax.random.split(key)
     # From so close to upright no episode falls within 8 steps: these always hold enough.
-    episodes = rollout(
-        setup.dyna.env, act, key_play, setup.hparams.env, -(-count // 8),
-        num_steps=setup.config.num_steps,
-    )  # fmt: skip
+    episodes = setup.play(act, key_play, -(-count // 8))
     example = jax.tree.map(lambda leaf: leaf[0, 0], episodes)
     held = replay.add(replay.init(episodes.mask.size, example), episodes, episodes.mask)
     return replay.sample_distinct(held, key_sample, count)
 
 
-def _fit(setup: Setup, key: Key, data: Transition, updates: int) -> Any:
-    """The model's parameters after so many gradient steps."""
+def _fit(setup: Setup, key: Key, data: Transition) -> Any:
+    """The parameters of a model that is trained on the data."""
+    dyna, config, hparams = setup
     key_init, key_rows, key_update = jax.random.split(key, 3)
-    shape = (updates, setup.config.model_batch)
-    rows = jax.random.randint(key_rows, shape, 0, data.mask.shape[0])
-
-    def update(carry, rows):
-        state, key = carry
-        key, key_now = jax.random.split(key)
-        batch = jax.tree.map(lambda leaf: leaf[rows], data)
-        state, _ = setup.model.update(state, batch, key_now, setup.hparams.model)
-        return (state, key), None
-
-    start = (setup.model.init(key_init, setup.hparams.model), key_update)
-    return jax.lax.scan(update, start, rows)[0][0].params
+    model = dyna.model.init(key_init, hparams.model)
+    held = replay.Replay(data, jnp.int32(len(data.mask)))
+    state = DynaState(agent=None, model=model, replay=held, starts=None, key=key)
+    return train_model(dyna, config, state, key_rows, key_update, hparams)[0].params
 
 
 def _judge(setup: Setup, fitted: list, policies: list, key: Key, episodes: int) -> Metrics:
     key_play, key_sums, key_open = jax.random.split(key, 3)
-    tests = [
-        rollout(setup.dyna.env, act, key, setup.hparams.env, episodes,
-                num_steps=setup.config.num_steps)
-        for act, key in zip(policies, jax.random.split(key_play, len(JUDGES)), strict=True)
-    ]  # fmt: skip
+    play = partial(setup.play, episodes=episodes)
+    tests = [*map(play, policies, jax.random.split(key_play, len(JUDGES)))]
     models, kinds = (jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
                      for each in (fitted, tests))  # fmt: skip
-    sums_of = jax.vmap(one_step_sums(setup.model.predict), (None, 0, 0))
+    predict = setup.dyna.model.predict
+    sums_of = jax.vmap(one_step_sums(predict), (None, 0, 0))
     keys = jax.random.split(key_sums, (len(SOURCES), len(JUDGES)))
     sums = jax.vmap(sums_of, (0, None, 0))(models, kinds, keys)
-    errors_of = jax.vmap(lambda params, keys: _open_loop_error(setup.model, params, tests[1], keys))
+    errors_of = jax.vmap(lambda params, keys: _open_loop_error(predict, params, tests[1], keys))
     errors = errors_of(models, jax.random.split(key_open, (len(SOURCES), episodes)))
     return {"r2": explained(sums, "change").mean(-1), "open_loop": errors}
 
 
-def _open_loop_error(model: DynamicsModel, params: Any, episodes: Transition, keys: Key):
+def _open_loop_error(predict: Any, params: Any, episodes: Transition, keys: Key):
     """Root mean square error after each of `HORIZON` dreamed steps, in standard deviations of the
     true state over the episodes, ``[HORIZON]``.
     """
 
     def dream(obs, action, key):
-        return open_loop(model.predict, params, obs, action, key).next_obs
+        return open_loop(predict, params, obs, action, key).next_obs
 
     actions = episodes.action[:, :HORIZON]
     dreamed = jax.vmap(dream)(episodes.obs[:, 0], actions, keys)
-    valid = episodes.mask[..., None]
-    count = episodes.mask.sum()
+    valid, count = episodes.mask[..., None], episodes.mask.sum()
     mean = (episodes.obs * valid).sum((0, 1)) / count
     std = jnp.sqrt((jnp.square(episodes.obs - mean) * valid).sum((0, 1)) / count)
     square = jnp.square((dreamed - episodes.next_obs[:, :HORIZON]) / std).mean(-1)
@@ -176,55 +153,51 @@ def _open_loop_error(model: DynamicsModel, params: Any, episodes: Transition, ke
     return jnp.sqrt(jnp.where(alive, square, 0).sum(0) / alive.sum(0))  # NaN where all have ended
 
 
-def describe(options: DataOptions, curves: Curves) -> Results:
+def describe(options: DataOptions, curves: Curves) -> tables.Results:
     """``change_r2`` by source and judge, ``open_loop_error`` by source and dreamed step."""
     explained, errors = curves["r2"][:, 0], curves["open_loop"][:, 0]
+    after = {str(step): step - 1 for step in SHOWN_STEPS}
     return {
         "change_r2": {
-            source: {name: mean_of_runs(explained[:, row, at]) for at, name in enumerate(JUDGES)}
-            for row, source in enumerate(SOURCES)
+            source: by_class(list(JUDGES), explained[:, row]) for row, source in enumerate(SOURCES)
         },
         "open_loop_error": {
-            source: {str(step): mean_of_runs(errors[:, row, step - 1]) for step in SHOWN_STEPS}
+            source: by_class(list(after), errors[:, row, list(after.values())])
             for row, source in enumerate(SOURCES)
         },
     }
 
 
-def tables(record: Any) -> list[tuple[str, Table]]:
-    """Both, with their titles."""
-
-    def table(rows: Results) -> Table:
-        lines = [
-            [name, *(with_interval(said, 3) for said in row.values())] for name, row in rows.items()
-        ]
-        return ["trained on", *next(iter(rows.values()))], lines
-
-    said = record.results["arms"][ARM]
-    return [(name, table(said[name])) for name in ("change_r2", "open_loop_error")]
+def both(record: Any) -> list[tuple[str, tables.Table]]:
+    """Both tables, with their titles."""
+    found = []
+    for title in ("change_r2", "open_loop_error"):
+        said = record.results["arms"][ARM][title]
+        lines = [[name, *(tables.with_interval(one, 3) for one in row.values())]
+                 for name, row in said.items()]  # fmt: skip
+        found.append((title, (["trained on", *said[SOURCES[0]]], lines)))
+    return found
 
 
 def section(record: Any) -> str:
     """The tables, and ``horizon.png``."""
-    options, errors = record.options, record.curves[ARM]["open_loop"][:, 0]
+    errors = record.curves[ARM]["open_loop"][:, 0]
     by_source = {source: errors[:, row] for row, source in enumerate(SOURCES)}
     plots.bands(record.out / "horizon.png", {"": by_source}, "dreamed steps",
                 "error (standard deviations)", legend="trained on", yscale="log")  # fmt: skip
-    (_, ahead), (_, fed) = tables(record)
+    (_, ahead), (_, fed) = both(record)
     return report.paragraphs(
-        f"{runs(len(errors))}. In each a policy is trained on {options.episodes} real episodes; "
-        f"the `tuned` preset's model is then fitted {len(SOURCES)} times, each time with "
-        f"{options.updates:,} updates on {options.transitions:,} transitions, and judged on "
-        f"{options.judged_episodes} new episodes of each policy.",
+        f"{tables.runs(len(errors))}. In each a policy is trained; the `tuned` preset's model is "
+        "then fitted to each kind of transitions, and judged on new episodes of each policy.",
         "## One step ahead",
         "Share of the variance of a step's change that is explained (R², mean of the four state "
         "variables; mean over runs and 95% interval). Columns: who played the episodes that it is "
         "judged on.",
-        markdown_table(*ahead),
+        tables.markdown_table(*ahead),
         "## Fed with its own predictions",
         "Root mean square error on episodes of the trained policy, by dreamed step, in standard "
         "deviations of the state.",
-        markdown_table(*fed),
+        tables.markdown_table(*fed),
         "![error against horizon](horizon.png)",
     )
 
@@ -232,10 +205,10 @@ def section(record: Any) -> str:
 DATA = Experiment(
     name="data",
     title="What data does a CartPole model need?",
-    presets={"tuned": DataOptions(block=5)},
+    presets={"tuned": DataOptions(seeds=20, episodes=300, block=5)},
     quick={"tuned": {"seeds": 2, "episodes": 100, "updates": 1000}},
     arms=lambda options: {ARM: lambda: Arm(work(options), (), units=1)},
     describe=(describe,),
     sections=(section, report.settings, report.spent),
-    summary=tables,
+    summary=both,
 )

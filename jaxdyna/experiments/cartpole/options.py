@@ -1,7 +1,5 @@
 """The settings of CartPole and its presets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
@@ -38,14 +36,6 @@ class CartPoleOptions(Options):
         "planners on the learned model: mpc, mcts, mpc_init, mpc_init_dyna, mpc_clone",
         everyday=True,
     )  # fmt: skip
-    stop_after_solved: int | None = setting(
-        100, "real episodes that a run plays on once it has solved; None plays all", at_least=0,
-        everyday=True,
-    )  # fmt: skip
-    block: int = setting(
-        5, "runs computed together; a run's bits depend on this number and on nothing beside it",
-        at_least=1, everyday=True,
-    )  # fmt: skip
     env_version: Literal["v0", "v1"] = setting(
         "v0", "v0: 200 steps, solved at 195; v1: 500 steps, solved at 475", everyday=True
     )
@@ -72,28 +62,20 @@ class CartPoleOptions(Options):
         20, "real episodes after the first N in which arms that imitate are shown what to do",
         at_least=1,
     )  # fmt: skip
-    dyna: DynaConfig = setting(
-        factory=lambda: DynaConfig(
-            num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
-            num_real_first=100, model_updates=60, model_batch=16, dream_updates=2,
-            dream_episodes=8,
-        )
-    )  # fmt: skip
+    dyna: DynaConfig = setting(factory=lambda: DynaConfig(
+        num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
+        num_real_first=100, model_updates=60, model_batch=16, dream_updates=2, dream_episodes=8,
+    ))  # fmt: skip
     agent: ReinforceConfig = setting(factory=lambda: ReinforceConfig(advantage=per_step))
-    model: SupervisedConfig = setting(
-        factory=lambda: SupervisedConfig(
-            delta=True, normalise=True, spread=3.0, weight_variance=1 / 3
-        )
-    )
+    model: SupervisedConfig = setting(factory=lambda: SupervisedConfig(
+        delta=True, normalise=True, spread=3.0, weight_variance=1 / 3,
+    ))  # fmt: skip
     mpc: ShootingConfig = setting(factory=lambda: ShootingConfig(30, 32, temperature=5.0))
     mcts: SearchConfig = setting(factory=lambda: SearchConfig(simulations=16))
     cloning: CloningConfig = setting(factory=CloningConfig)
-    hparams: DynaHParams = setting(
-        factory=lambda: DynaHParams(
-            agent=ReinforceHParams(), model=SupervisedHParams(), env=CartPoleParams(),
-            termination_threshold=0.1,
-        )
-    )  # fmt: skip
+    hparams: DynaHParams = setting(factory=lambda: DynaHParams(
+        ReinforceHParams(), SupervisedHParams(), CartPoleParams(), termination_threshold=0.1,
+    ))  # fmt: skip
 
     def resolved(self) -> Self:
         """An episode is as long as ``--env-version`` says."""
@@ -109,7 +91,7 @@ def rule(options: CartPoleOptions) -> SolveRule:
     return RULES[options.env_version]
 
 
-TUNED = CartPoleOptions()
+TUNED = CartPoleOptions(stop_after_solved=100, block=5)
 LEAN = changed(TUNED, {
     "preset": "lean", "episodes": 150, "stop_after_solved": None, "block": 1,
     "dyna.num_real_first": 3, "dyna.model_updates": 100, "dyna.model_batch": 32,

@@ -2,17 +2,15 @@
 of all arms begin where those of ``dyna`` do and are as many and as long.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxdyna import losses, networks, planners
 from jaxdyna.agents import DQNConfig, dqn
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, Metrics
 from jaxdyna.envs import FrameStack, Maze, MazeParams, StackState
@@ -21,14 +19,12 @@ from jaxdyna.experiments.frames.options import decayed_adam
 from jaxdyna.experiments.maze.frames import TUNED as FRAMES
 from jaxdyna.experiments.maze.options import MazeOptions
 from jaxdyna.experiments.maze.oracle import true_dream
-from jaxdyna.experiments.maze.planned import planned
+from jaxdyna.experiments.maze.planned import by_values, imitator
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
 from jaxdyna.experiments.study.frames import frame_dyna
-from jaxdyna.losses import bce, l1, l2
+from jaxdyna.experiments.study.planners import acting
 from jaxdyna.models import PixelConfig, pixels
-from jaxdyna.networks import ConvolutionalQ, EncoderDecoder, GlimpseQ, LocalDynamics
-from jaxdyna.planners import solve_maze
 from jaxdyna.rollout import first_states, rollout
 from jaxdyna.types import Key, Transition
 
@@ -49,39 +45,47 @@ SAID = study.SAID | {
 
 def arms(options: MazeOptions, judged: bool = True) -> dict[str, study.Made]:
     """What makes each arm; ``judged``: and judges its policy in the end."""
-    maze, agent = Maze(options.size, options.obstacles), agent_of(options)
-    model, dreamless = model_of(options), replace(options.dyna, dream_updates=0)
+    maze, agent, model = Maze(options.size, options.obstacles), agent_of(options), model_of(options)
+    dreamless = replace(options.dyna, dream_updates=0)
     hooks = study.Hooks(judge if judged else None, piece=10, block=options.block)
     dyna = parts(maze, agent, model, options.steps if options.judged_on == "common" else None)
     made = study.standard_arms(
         dyna, options.dyna, options.hparams, true_dream(maze), hooks,
-        real_only=study.real_steps, busier=parts(maze, study.busy(agent), model).agent,
+        busier=parts(maze, study.busy(agent), model).agent,
     )  # fmt: skip
 
-    def arm(make: Callable[[], Dyna]) -> study.Made:
-        return lambda: study.dyna_arm(make(), dreamless, options.hparams, hooks)
+    def planned(dyna: Dyna, make: Any, settings: Any, episodes: int | None = None) -> Any:
+        playing = acting(dyna, make, settings, by_values(agent), episodes)._replace(dream=None)
+        return study.dyna_arm(playing, dreamless, options.hparams, hooks)
 
-    return made | {name: arm(make) for name, make in planned(options, dyna, agent).items()}
+    def shown() -> Any:
+        imitating = dyna._replace(agent=imitator(dyna, agent, options.cloning))
+        return planned(imitating, planners.random_shooting, options.mpc, options.shown_episodes)
+
+    return made | {
+        "mpc": lambda: planned(dyna, planners.random_shooting, options.mpc),
+        "mcts": lambda: planned(dyna, planners.muzero, options.mcts),
+        "mpc_init": shown,
+    }
 
 
 def agent_of(options: MazeOptions) -> DQNConfig:
     """DQN's counts and network, with room for what a run can add to its replays and no more."""
-    networks = {
-        "convolutions": ConvolutionalQ(len(MOVES), options.convolutions, options.dense),
-        "glimpse": GlimpseQ(len(MOVES)),
-    }
-    return replace(study.sized(options.agent, options.dyna), network=networks[options.network])
+    network: Any = networks.GlimpseQ(len(MOVES))
+    if options.network == "convolutions":
+        network = networks.ConvolutionalQ(len(MOVES), options.convolutions, options.dense)
+    return replace(study.sized(options.agent, options.dyna), network=network)
 
 
 def model_of(options: MazeOptions) -> PixelConfig:
     """The model's network, loss and optimiser. The paper's threshold of 0.2 serves its
     cross-entropy.
     """
-    loss = {"bce": bce, "l1": l1, "l2": l2}[options.model_loss]
+    loss = {"bce": losses.bce, "l1": losses.l1, "l2": losses.l2}[options.model_loss]
     if options.model == "local":
-        return PixelConfig(LocalDynamics(3, options.model_widths), loss)
-    coder = EncoderDecoder(3, FRAMES.widths, FRAMES.kernels, FRAMES.dense)
-    threshold = 0.2 if loss is bce else 0.5
+        return PixelConfig(networks.LocalDynamics(3, options.model_widths), loss)
+    coder = networks.EncoderDecoder(3, FRAMES.widths, FRAMES.kernels, FRAMES.dense)
+    threshold = 0.2 if loss is losses.bce else 0.5
     return PixelConfig(coder, loss, threshold, optimizer=decayed_adam(FRAMES.paper.weight_decay))
 
 
@@ -91,27 +95,15 @@ def parts(maze: Maze, agent: DQNConfig, model: PixelConfig, common: int | None =
     that is judged on `common_transitions` of so many steps, if any.
     """
     env, shape = FrameStack(maze), (maze.size, maze.size, 3)
-    learner = dqn(shape, env.num_actions, agent)
-
-    def watch(real: Transition, begun: StackState, params: MazeParams) -> Metrics:
-        return behaviour(maze, real, begun, params)
-
-    dyna = frame_dyna(env, learner, pixels(shape, env.num_actions, model), watch)
+    learner, learned = dqn(shape, len(MOVES), agent), pixels(shape, len(MOVES), model)
+    dyna = frame_dyna(env, learner, learned, partial(behaviour, maze))
     return dyna if common is None else on_common(dyna, common_transitions(env, common))
 
 
 def behaviour(maze: Maze, real: Transition, begun: StackState, params: MazeParams) -> Metrics:
-    """What a real episode was like, and what was to be had in it.
-
-    Args:
-        maze: the true one.
-        real: one episode ``[1, T]``.
-        begun: the state it began in ``[1]``.
-        params: the maze's.
-
-    Returns:
-        ``oracle_return``; ``collisions``; ``time_to_goal``, the steps until it is first reached,
-        one more than the episode has where it is not; ``show_...``: what a film of it needs.
+    """What a real episode ``[1, T]`` that began in the state ``begun`` ``[1]`` was like:
+    ``oracle_return``, the most that was to be had; ``collisions``; ``time_to_goal``, the steps
+    until it is first reached, one more than the episode has where it is not; ``show_...``: films.
     """
     steps = real.action.shape[1]
     red, green, blue = jnp.moveaxis(real.next_obs[0, ..., -3:] > 0, -1, 0)
@@ -119,7 +111,7 @@ def behaviour(maze: Maze, real: Transition, begun: StackState, params: MazeParam
     reached = jnp.where(at_goal.any(), jnp.argmax(at_goal), steps) + 1
     start = jax.tree.map(lambda leaf: leaf[0], begun.env)
     return {
-        "oracle_return": solve_maze(maze, start, params, steps).best_return,
+        "oracle_return": planners.solve_maze(maze, start, params, steps).best_return,
         "collisions": collision.sum().astype(jnp.float32),
         "time_to_goal": reached.astype(jnp.float32),
         "show_action": real.action[0].astype(jnp.int8),
@@ -162,7 +154,7 @@ def judge(
     def some(key: Key) -> Metrics:
         played = rollout(env, act, key, params, AT_ONCE, num_steps=steps)
         starts = first_states(env, jax.random.clone(key), params, AT_ONCE).env
-        plans = jax.vmap(lambda start: solve_maze(env.env, start, params, steps))(starts)
+        plans = jax.vmap(lambda start: planners.solve_maze(env.env, start, params, steps))(starts)
         hit = (played.next_obs[..., -3] & played.next_obs[..., -1]).any((-1, -2))
         return {
             "greedy_return": played.reward.sum(-1),

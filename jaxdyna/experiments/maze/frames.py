@@ -1,7 +1,5 @@
 """Predicting the Maze's frames (§3.2, Figs. 4 and 7): the paper's F1 table beside ours."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

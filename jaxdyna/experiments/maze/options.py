@@ -1,7 +1,5 @@
 """The settings of learning to act."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
@@ -35,11 +33,6 @@ class MazeOptions(Options):
     }
 
     arms: tuple[str, ...] = setting(("model_free", "dyna"), "what is played", everyday=True)
-    episodes: int = setting(500, "real episodes of a run at the most", at_least=1, everyday=True)
-    stop_after_solved: int | None = setting(
-        0, "real episodes that a run plays on once it has solved; None plays all", at_least=0,
-        everyday=True,
-    )  # fmt: skip
     size: int = setting(16, "cells a side of the board", at_least=2, everyday=True)
     obstacles: int = setting(5, "how many obstacles", at_least=0, everyday=True)
     steps: int = setting(200, "steps of a real episode", at_least=1, everyday=True)
@@ -52,8 +45,7 @@ class MazeOptions(Options):
         (16, 16, 32), "channels of the network's convolutions: one of 2x2 cells at a stride of 2, "
         "two of 3x3", at_least=1,
     )  # fmt: skip
-    dense: int = setting(128, "width of the dense layer after the network's convolutions",
-                         at_least=1)  # fmt: skip
+    dense: int = setting(128, "width of the dense layer after the convolutions", at_least=1)
     model: Literal["local", "paper"] = setting(
         "local", "network of the model: 3x3 convolutions, or Fig. 4, slower and to be trained for "
         "much longer; both read the reward off the picture that they predict", everyday=True,
@@ -68,24 +60,16 @@ class MazeOptions(Options):
     shown_episodes: int = setting(
         10, "real episodes after the first N in which mpc_init is shown what to do", at_least=1
     )
-    dyna: DynaConfig = setting(
-        factory=lambda: DynaConfig(
-            num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
-            model_updates=50, model_batch=32, rare_share=0.25, dream_episodes=400, dream_steps=5,
-        )
-    )  # fmt: skip
-    agent: DQNConfig = setting(
-        factory=lambda: DQNConfig(
-            updates=50, fake_updates=400, fake_capacity=64_000, explore_until_rewarded=True
-        )
-    )
-    hparams: DynaHParams = setting(
-        factory=lambda: DynaHParams(
-            agent=DQNHParams(epsilon_hold=30.0, target_rate=0.02),
-            model=PixelHParams(3e-3),
-            env=MazeParams(),
-        )
-    )
+    dyna: DynaConfig = setting(factory=lambda: DynaConfig(
+        num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
+        model_updates=50, model_batch=32, rare_share=0.25, dream_episodes=400, dream_steps=5,
+    ))  # fmt: skip
+    agent: DQNConfig = setting(factory=lambda: DQNConfig(
+        updates=50, fake_updates=400, fake_capacity=64_000, explore_until_rewarded=True,
+    ))  # fmt: skip
+    hparams: DynaHParams = setting(factory=lambda: DynaHParams(
+        DQNHParams(epsilon_hold=30.0, target_rate=0.02), PixelHParams(3e-3), MazeParams(),
+    ))  # fmt: skip
     mpc: ShootingConfig = setting(factory=lambda: ShootingConfig(5, 32, drift=1.0))
     mcts: SearchConfig = setting(factory=lambda: SearchConfig(simulations=32))
     cloning: CloningConfig = setting(
@@ -116,18 +100,15 @@ class MazeOptions(Options):
         })  # fmt: skip
 
 
-TUNED = MazeOptions()
+TUNED = MazeOptions(episodes=500, stop_after_solved=0)
 LEAN = changed(TUNED, {
     "preset": "lean", "network": "glimpse", "episodes": 150, "stop_after_solved": 50,
     "dyna.num_real_first": 15, "dyna.model_updates": 100, "agent.updates": 100,
     "hparams.agent": DQNHParams(epsilon_hold=15.0, epsilon_episodes=5.0),
 })  # fmt: skip
-_FEW: Overrides = {"seeds": 2, "size": 6, "obstacles": 1, "steps": 40, "episodes": 80}
-QUICK: dict[str, Overrides] = {
-    "tuned": {
-        **_FEW,
-        "dyna.num_real_first": 15, "hparams.agent.epsilon_hold": 5.0,
-        "hparams.agent.epsilon_episodes": 10.0,
-    },
-    "lean": _FEW,
+FEW: Overrides = {"seeds": 2, "size": 6, "obstacles": 1, "steps": 40, "episodes": 80}
+SOONER: Overrides = {
+    "dyna.num_real_first": 15, "hparams.agent.epsilon_hold": 5.0,
+    "hparams.agent.epsilon_episodes": 10.0,
 }  # fmt: skip
+QUICK: dict[str, Overrides] = {"tuned": {**FEW, **SOONER}, "lean": FEW}

@@ -1,7 +1,5 @@
 """The true Maze for the oracle's dreams, whose episodes begin where real ones have been."""
 
-from __future__ import annotations
-
 from functools import cache, partial
 
 import jax

@@ -63,8 +63,7 @@ def cartpole_ground(key: jax.Array, sizes: Sizes) -> Grounds:
     key_learn, _, key_play = jax.random.split(key, 3)
     episodes = {"episodes": sizes.cartpole_episodes}
     options = changed(cartpole.CARTPOLE.presets["lean"], episodes).resolved()
-    dreams = cartpole.arms.Dreams(options.dream_start, options.dream_noise, options.authors_bug)
-    dyna, steps = cartpole.arms.parts(options.agent, options.model, dreams), options.dyna.num_steps
+    dyna, steps = cartpole.arms.parts(options), options.dyna.num_steps
     arm = cartpole.CARTPOLE.arms(options)["dyna"]()
     [state] = learned(arm, key_learn, sizes.runs[0], [sizes.cartpole_episodes])
     ground = Ground(
@@ -79,11 +78,6 @@ def cartpole_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Cont
     depth, discount = options.mcts_rollout, options.mcts.discount
     of = partial(planner, dyna, options.hparams)
 
-    def random_episodes(env: Any) -> MakeGuide:
-        return lambda state, hparams, params: planners.Guide(
-            value=planners.rollout_value(env, params, depth, discount)
-        )
-
     yield policy(dyna, options.hparams.agent)
     for count in sizes.candidates:
         shooting = replace(options.mpc, candidates=count)
@@ -94,7 +88,8 @@ def cartpole_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Cont
         search = replace(options.mcts, simulations=count)
         for world, env in worlds(dyna).items():
             plan, steps = planners.muzero(env, search), count * (1 + depth)
-            yield of("MCTS", world, steps, plan, random_episodes(env))
+            guide = cartpole.arms.random_episodes(env, discount, depth)
+            yield of("MCTS", world, steps, plan, guide)
 
 
 def maze_ground(key: jax.Array, sizes: Sizes) -> Grounds:

@@ -1,14 +1,9 @@
-"""Arms with a planner on the learned model (§1.1): it acts, or it shows the agent how to.
-
-``mpc`` and ``mcts``: after the first N real episodes the planner acts, and the model learns on.
-``mpc_init`` (Nagabandi et al. 2018): the planner acts in some real episodes, the agent imitates
-them, and model-free learning goes on. None of these dreams; CartPole has two more that begin like
-``mpc_init``: in ``mpc_init_dyna`` dreams go on, in ``mpc_clone`` nothing does.
+"""Arms with a planner on the learned model (§1.1): it acts after the first N real episodes, or it
+acts in some of them, which the agent imitates (Nagabandi et al. 2018).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import jax
@@ -17,22 +12,25 @@ import jax.numpy as jnp
 from jaxdyna.dyna import Dyna, DynaHParams, DynaState, Expert
 from jaxdyna.models import LearnedState
 from jaxdyna.planners import Guide, Planner
-from jaxdyna.types import Agent, Key
+from jaxdyna.types import Key
 
 MakeGuide = Callable[[DynaState, DynaHParams, Any], Guide]
 """``(state, hparams, env_params) -> guide``: what the planner is told beside the world."""
 
-
-def acting(dyna: Dyna, planner: Planner, guide: MakeGuide) -> Dyna:
-    """The planner acts in every real episode after the first N."""
-    return dyna._replace(dream=None, expert=Expert(on_model(dyna, planner, guide)))
+MakePlanner = Callable[[Any, Any], Planner]
+"""``(env, config) -> planner``, such as `jaxdyna.planners.random_shooting`."""
 
 
-def showing(dyna: Dyna, planner: Planner, guide: MakeGuide, agent: Agent, episodes: int) -> Dyna:
-    """The planner acts in so many real episodes after the first N; ``agent`` imitates it. Dreams
-    stay: who wants none replaces them.
+@cache
+def acting(
+    dyna: Dyna, make: MakePlanner, config: Any, guide: MakeGuide, episodes: int | None = None
+) -> Dyna:
+    """``dyna`` where a planner in the world of its dreams acts in every real episode after the
+    first N, or in so many of them. One object, and so one program, for the same parts.
     """
-    return dyna._replace(agent=agent, expert=Expert(on_model(dyna, planner, guide), episodes))
+    assert dyna.dream is not None
+    planner = make(dyna.dream.env, config)
+    return dyna._replace(expert=Expert(on_model(dyna, planner, guide), episodes))
 
 
 def on_model(dyna: Dyna, planner: Planner, guide: MakeGuide) -> Callable[..., jax.Array]:
