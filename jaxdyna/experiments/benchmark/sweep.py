@@ -88,5 +88,4 @@ SWEEP = Experiment(
     arms=lambda options: {},
     measures={"sweeps": measure},
     sections=(section,),
-    summary=lambda record: [("What a sweep costs", table(record.results))],
 )

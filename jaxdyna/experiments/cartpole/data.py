@@ -168,24 +168,20 @@ def describe(options: DataOptions, curves: Curves) -> tables.Results:
     }
 
 
-def both(record: Any) -> list[tuple[str, tables.Table]]:
-    """Both tables, with their titles."""
-    found = []
-    for title in ("change_r2", "open_loop_error"):
-        said = record.results["arms"][ARM][title]
-        lines = [[name, *(tables.with_interval(one, 3) for one in row.values())]
-                 for name, row in said.items()]  # fmt: skip
-        found.append((title, (["trained on", *said[SOURCES[0]]], lines)))
-    return found
-
-
 def section(record: Any) -> str:
     """The tables, and ``horizon.png``."""
-    errors = record.curves[ARM]["open_loop"][:, 0]
+    said, errors = record.results["arms"][ARM], record.curves[ARM]["open_loop"][:, 0]
     by_source = {source: errors[:, row] for row, source in enumerate(SOURCES)}
     plots.bands(record.out / "horizon.png", {"": by_source}, "dreamed steps",
                 "error (standard deviations)", legend="trained on", yscale="log")  # fmt: skip
-    (_, ahead), (_, fed) = both(record)
+    ahead, fed = (
+        tables.markdown_table(
+            ["trained on", *rows[SOURCES[0]]],
+            [[name, *(tables.with_interval(one, 3) for one in row.values())]
+             for name, row in rows.items()],
+        )
+        for rows in (said["change_r2"], said["open_loop_error"])
+    )  # fmt: skip
     return report.paragraphs(
         f"{tables.runs(len(errors))}. In each a policy is trained; the `tuned` preset's model is "
         "then fitted to each kind of transitions, and judged on new episodes of each policy.",
@@ -193,13 +189,12 @@ def section(record: Any) -> str:
         "Share of the variance of a step's change that is explained (R², mean of the four state "
         "variables; mean over runs and 95% interval). Columns: who played the episodes that it is "
         "judged on.",
-        tables.markdown_table(*ahead),
+        ahead,
         "## Fed with its own predictions",
         "Root mean square error on episodes of the trained policy, by dreamed step, in standard "
         "deviations of the state.",
-        tables.markdown_table(*fed),
-        "![error against horizon](horizon.png)",
-    )
+        fed, "![error against horizon](horizon.png)",
+    )  # fmt: skip
 
 
 DATA = Experiment(
@@ -210,5 +205,4 @@ DATA = Experiment(
     arms=lambda options: {ARM: lambda: Arm(work(options), (), units=1)},
     describe=(describe,),
     sections=(section, report.settings, report.spent),
-    summary=both,
 )

@@ -12,7 +12,7 @@ from jaxdyna.experiments.cartpole.acting import CARTPOLE
 from jaxdyna.experiments.cartpole.arms import arms
 from jaxdyna.experiments.engine import Study
 from jaxdyna.experiments.report import sections as report
-from jaxdyna.experiments.report.rows import rows, summary
+from jaxdyna.experiments.report.rows import rows
 from jaxdyna.experiments.report.summaries import first_dreams
 from jaxdyna.experiments.study.accuracy import Measure, accuracy, describe
 
@@ -113,7 +113,6 @@ READINGS = Study(
     rows=lambda options: READ,
     common={"episodes": 600, "stop_after_solved": 0},
     sections=(rows(), report.settings, report.spent),
-    summary=summary(),
 )
 LEVERS = Study(
     name="levers",
@@ -123,7 +122,6 @@ LEVERS = Study(
     rows=lambda options: LEVER,
     common={"seeds": 20, "stop_after_solved": 0},
     sections=(rows("first_solved"), report.settings, report.spent),
-    summary=summary("first_solved"),
 )
 ACCURACY = Study(
     name="accuracy",
@@ -134,5 +132,4 @@ ACCURACY = Study(
     common={"episodes": 500, "stop_after_solved": 0, "judged_on": "common"},
     describe=(describe(MEASURE),),
     sections=(rows(), accuracy(MEASURE), report.settings, report.spent),
-    summary=summary(),
 )

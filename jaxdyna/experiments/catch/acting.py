@@ -155,11 +155,10 @@ CATCH = Experiment(
     rule=lambda options: RULE,
     describe=(describe,),
     sections=(
-        report.solving(lambda options: RULE, {}, {}),
+        report.solving(lambda options: RULE),
         report.learning_curves(lambda options: RULE, window=20),
         report.endings(lambda options: RULE),
         report.behaviour({"wrong_frames": "share of new frames predicted wrong"}, 10),
         final, report.arms_said(study.SAID), report.settings, report.spent,
     ),
-    summary=report.solve_summary("Catch", {}, {}),
 )  # fmt: skip

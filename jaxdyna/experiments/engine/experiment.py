@@ -88,8 +88,7 @@ class Experiment:
         describe: ``(options, curves) -> entries`` of an arm in ``results.json``.
         measures: by name ``(options, say) -> JSON``: host work without runs.
         sections: ``(record) -> Markdown``: the report's, in their order; each draws its figures.
-        summary: ``(record) -> tables with titles, and sentences`` for the terminal.
-        paper: the paper's own figures of ``episodes_to_solve``, by arm.
+            What comes before the first figure is printed as well.
         study: what its rows are made of, where it is a table of overrides.
     """
 
@@ -102,8 +101,6 @@ class Experiment:
     describe: Sequence[Callable[[Any, Curves], Results]] = ()
     measures: Mapping[str, Callable[[Any, Say], Any]] = field(default_factory=dict)
     sections: Sequence[Callable[[Record], str]] = ()
-    summary: Callable[[Record], Sequence[tuple[str, Table] | str]] = lambda record: ()
-    paper: Mapping[str, float] = field(default_factory=dict)
     study: Study | None = None
 
 
@@ -133,7 +130,6 @@ class Study(NamedTuple):
     common: Overrides = {}
     arm: str = "dyna"
     describe: Sequence[Callable[[Any, Curves], Results]] = ()
-    summary: Callable[[Record], Sequence[tuple[str, Table] | str]] = lambda record: ()
     quick: Overrides = {}
 
     def experiment(self) -> Experiment:
@@ -150,7 +146,7 @@ class Study(NamedTuple):
         return replace(
             self.of, name=self.name, title=self.title, presets={self.preset: base}, arms=arms,
             quick={self.preset: self.quick}, describe=(*self.of.describe, *self.describe),
-            measures={}, sections=self.sections, summary=self.summary, study=self,
+            measures={}, sections=self.sections, study=self,
         )  # fmt: skip
 
     def made(self, options: Any, row: Overrides) -> Arm:

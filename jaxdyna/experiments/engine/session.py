@@ -20,6 +20,7 @@ from typing import Any
 import jax
 import numpy as np
 from rich.console import Console
+from rich.markdown import Markdown
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine import cli, storage
@@ -45,7 +46,6 @@ from jaxdyna.experiments.engine.work import (
     runs_of,
 )
 from jaxdyna.experiments.report.summaries import compare, describe_arm
-from jaxdyna.experiments.report.tables import print_table
 from jaxdyna.fields import SettingError
 from jaxdyna.statistics import episodes_to_solve
 
@@ -345,13 +345,10 @@ class Session:
     def _report(self) -> None:
         self._write()
         record = Record(self.options, self.results, self.curves, self.out)
-        write_report(self.experiment, record)
-        for said in self.experiment.summary(record):
-            if isinstance(said, str):
-                self.console.print(said.replace("**", ""))
-            else:
-                print_table(self.console, said[0], *said[1])
-        self.console.print(f"Report: {self.out / 'report.md'}")
+        text = write_report(self.experiment, record)
+        self.console.print(Markdown(text.partition("\n![")[0]))
+        seconds = f"{self.results['timing']['total_s']:.0f} s in all"
+        self.console.print(f"Report: {self.out / 'report.md'} ({seconds})")
 
 
 def results_of(
@@ -414,12 +411,13 @@ def recorded(results: Results) -> tuple[Experiment, Any, dict[str, list[Any]]]:
     return experiment, options, sweep
 
 
-def write_report(experiment: Experiment, record: Record) -> None:
-    """Writes ``report.md`` and its figures into the record's folder."""
+def write_report(experiment: Experiment, record: Record) -> str:
+    """Writes ``report.md`` and its figures into the record's folder; returns the text."""
     head = [f"# {experiment.title}", f"`{record.results['command']}`"]
     parts = [*head, *(section(record) for section in experiment.sections)]
     text = "\n\n".join(part.strip("\n") for part in parts if part) + "\n"
     storage.write_text(record.out / "report.md", text)
+    return text
 
 
 def _group_name(group: Sequence[Entry], counts: Mapping[str, int]) -> str:

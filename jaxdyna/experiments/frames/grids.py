@@ -110,7 +110,7 @@ def experiment(
     said = FrameReport(said=SAID, prefer=near, rules=rules, **report)
     return Experiment(
         name="frames", title=title, presets=presets, arms=arms, quick=quick,
-        describe=(said.describe,), sections=said.sections, summary=said.summary,
+        describe=(said.describe,), sections=said.sections,
     )  # fmt: skip
 
 

@@ -127,13 +127,6 @@ class FrameReport(Scored):
             "![dreams beside the truth](dream.gif)" if film else "",
         )
 
-    def summary(self, record: Record) -> list[tuple[str, Table] | str]:
-        """The scores in the terminal."""
-        header, rows = self.score_table(record)
-        short = [[cell.partition(" (")[0] for cell in row] for row in rows]
-        seconds = f"{record.results['timing']['total_s']:.0f} s in all"
-        return [("Predicted frames, on new episodes", (header, short)), seconds]
-
     def score_table(self, record: Record, scores: Sequence[str] = (), names: Any = None) -> Table:
         """Scores by model, stage and class, the paper's own figures above."""
         known = record.results["arms"]

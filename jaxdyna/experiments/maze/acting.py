@@ -178,5 +178,4 @@ MAZE = Experiment(
         model_errors, films, final, report.arms_said(SAID), report.settings,
         lambda record: DIFFERENT, report.spent,
     ),
-    summary=report.solve_summary("Maze", PAPER, PAPER_RATIO),
 )  # fmt: skip

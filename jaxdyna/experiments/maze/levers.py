@@ -10,7 +10,7 @@ from jaxdyna.experiments.maze.acting import MAZE
 from jaxdyna.experiments.maze.arms import arms
 from jaxdyna.experiments.maze.options import MazeOptions
 from jaxdyna.experiments.report import sections as report
-from jaxdyna.experiments.report.rows import rows, summary
+from jaxdyna.experiments.report.rows import rows
 from jaxdyna.experiments.report.summaries import first_dreams
 from jaxdyna.experiments.study.accuracy import Measure, accuracy, describe
 
@@ -91,5 +91,4 @@ LEVERS = Study(
     },
     describe=(first_dreams, describe(MEASURE)),
     sections=(rows(COLUMN), accuracy(MEASURE, COLUMN), report.settings, report.spent),
-    summary=summary(COLUMN),
 )  # fmt: skip

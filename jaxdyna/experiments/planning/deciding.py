@@ -102,6 +102,5 @@ STUDY = Study(
         sections.solved_share(rule), sections.distribution, report.robust, sections.settings,
         sections.spent,
     ),
-    summary=report.summary,
 )  # fmt: skip
 PLANNING: Experiment = replace(STUDY.experiment(), measures={"budgets": budgets})

@@ -1,13 +1,12 @@
 """What the comparison of planners and policies leaves behind: tables and figures."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from jaxdyna.experiments.engine import Record, Results, Table
 from jaxdyna.experiments.planning import claim
-from jaxdyna.experiments.report import plots, rows
+from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report.sections import paragraphs
 from jaxdyna.experiments.report.tables import interval, markdown_table
 
@@ -39,10 +38,10 @@ def decisions(record: Record) -> str:
     figure(record.out / "decisions.png", budgets)
     return paragraphs(
         "## What a decision costs, and what it earns",
-        "![share of the return that could be had, against milliseconds a decision](decisions.png)",
         ABOUT.format(batch=budgets[0]["batch"]),
         *(f"{name}:\n\n{markdown_table(*table)}" for name, table in tables(budgets).items()),
         GROUNDS,
+        "![share of the return that could be had, against milliseconds a decision](decisions.png)",
     )
 
 
@@ -51,15 +50,6 @@ def robust(record: Record) -> str:
     header, lines = claim.table(record.results["arms"])
     said = claim.SAID, markdown_table(header, lines)
     return paragraphs(f"## {claim.TITLE}", *said) if lines else ""
-
-
-def summary(record: Record) -> list[Any]:
-    """The tables in the terminal."""
-    robust = claim.table(record.results["arms"])
-    return [
-        *tables(record.results["budgets"]).items(), *rows.summary("first_solved")(record),
-        *([(claim.TITLE, robust)] if robust[1] else []),
-    ]  # fmt: skip
 
 
 def tables(budgets: list[Results]) -> dict[str, Table]:

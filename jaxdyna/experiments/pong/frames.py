@@ -52,8 +52,7 @@ class PongFrames(world.GameOptions, FrameOptions):
     dream_from: ClassVar = 10
 
     arms: tuple[str, ...] = setting(tuple(SAID), "the models that are trained", everyday=True)
-    episodes: int = setting(1000, "of each policy, that a model is trained on", at_least=1,
-                            everyday=True)  # fmt: skip
+    episodes: int = setting(1000, "episodes of each policy to learn from", at_least=1, everyday=True)
     policies: tuple[Policy, ...] = setting(
         POLICIES, "whose episodes: random: every action at random; mixed: players of all "
         "strengths, from random ones to one that follows the ball", everyday=True,
@@ -271,7 +270,7 @@ QUICK = {
 FRAMES = Experiment(
     name="frames", title="Pong: predicting frames (Fig. 9)", arms=arms,
     presets={"tuned": TUNED, "lean": LEAN}, quick=dict.fromkeys(("tuned", "lean"), QUICK),
-    describe=(REPORT.describe,), summary=REPORT.summary,
+    describe=(REPORT.describe,),
     sections=(REPORT.opening, blur, REPORT.dreams, before_serves, report.arms_said(SAID),
               report.settings, report.spent),
 )  # fmt: skip

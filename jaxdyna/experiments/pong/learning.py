@@ -120,9 +120,9 @@ def whole_games(record: Any) -> str:
 PONG = Experiment(
     name="pong", title="Pong: learning to play", arms=arms, rule=rule,
     presets={"tuned": TUNED, "lean": LEAN}, quick=dict.fromkeys(("tuned", "lean"), QUICK),
-    describe=(describe,), summary=report.solve_summary("Pong", {}, {}),
+    describe=(describe,),
     sections=(
-        about, report.solving(rule, {}, {}), in_steps, report.equal_episodes(BASELINES),
+        about, report.solving(rule), in_steps, report.equal_episodes(BASELINES),
         report.learning_curves(rule, said="point difference against real episodes",
                                what="point difference", window=SMOOTHED, arms=MAIN_ARMS),
         report.behaviour(MEASURES, SMOOTHED, "points.png", arms=MAIN_ARMS),

@@ -1,6 +1,6 @@
 """The report of a study: every row beside the first, in one of the arms' figures of solving."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.sections import paragraphs, told
 from jaxdyna.experiments.report.summaries import FIRST_DREAMS, mean_of_runs
-from jaxdyna.experiments.report.tables import Results, Table, per_seed, whole
+from jaxdyna.experiments.report.tables import Results, per_seed, whole
 
 
 @told
@@ -41,11 +41,6 @@ def rows(record: Any, column: str = "episodes_to_solve") -> str:
         ),
         "![every run of every row](variants.png)",
     )
-
-
-def summary(column: str = "episodes_to_solve") -> Callable[[Any], list[tuple[str, Table] | str]]:
-    """The table in the terminal."""
-    return lambda record: [(record.results["part"], tables.solve_table(record.results, column))]
 
 
 def bounded(solve: Results) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxdyna import fields
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.summaries import HELD_EPISODES, comparisons, mean_of_runs
-from jaxdyna.experiments.report.tables import Table, markdown_table, runs, with_interval
+from jaxdyna.experiments.report.tables import markdown_table, runs, with_interval
 from jaxdyna.statistics import SolveRule, episodes_to_solve
 
 Section = Callable[[Any], str]
@@ -54,8 +54,9 @@ def grouped(record: Any, by: str = "arm", of: str = "setting") -> dict[str, dict
 
 @told
 def solving(
-    record: Any, rule: Rule, paper: Mapping[str, float], ratio: Mapping[str, float], said: str = ""
-) -> str:
+    record: Any, rule: Rule, paper: Mapping[str, float] = {}, ratio: Mapping[str, float] = {},
+    said: str = "",
+) -> str:  # fmt: skip
     """The table of arms and the ratios between them; the paper's own figures beside."""
     counted = runs(len(record.results["runs"]["seeds"]))
     return paragraphs(
@@ -249,23 +250,3 @@ def spent(record: Any) -> str:
     peak = device["peak_memory_gib"]
     memory = f"The process took {peak:.1f} GiB of memory at the most." if peak else ""
     return paragraphs("## Time", markdown_table(header, rows), memory)
-
-
-def solve_summary(
-    title: str, paper: Mapping[str, float], ratio: Mapping[str, float]
-) -> Callable[[Any], list[tuple[str, Table] | str]]:
-    """The table of arms in the terminal, and the ratios under it."""
-
-    def summary(record: Any) -> list[tuple[str, Table] | str]:
-        results, timing = record.results, record.results["timing"]
-        counted = runs(len(results["runs"]["seeds"]))
-        header, rows = tables.solve_table(results, paper=paper)
-        short = [name.partition(" (of")[0] for name in header]
-        return [
-            (f"{title}, {record.options.preset} preset, {counted} an arm", (short, rows)),
-            *comparisons(results, ratio),
-            f"{timing['total_s']:.1f} s in all: compiling {timing['compile_s']:.1f}, running "
-            f"{timing['run_s']:.1f}",
-        ]  # fmt: skip
-
-    return summary

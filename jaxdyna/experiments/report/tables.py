@@ -1,11 +1,9 @@
-"""Numbers in words, and tables of them, for Markdown and the terminal."""
+"""Numbers in words, and tables of them for Markdown."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table as Drawn
 
 from jaxdyna.statistics import Summary
 
@@ -74,13 +72,3 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
-
-
-def print_table(console: Console, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]):
-    """The same table for the terminal."""
-    table = Drawn(title=title, title_justify="left")
-    for position, name in enumerate(header):
-        table.add_column(name, justify="left" if position == 0 else "right")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
