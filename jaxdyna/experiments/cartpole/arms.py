@@ -16,7 +16,7 @@ from jaxdyna.experiments.cartpole.options import CartPoleOptions
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
 from jaxdyna.experiments.study.frames import learned_params
-from jaxdyna.experiments.study.planners import MakeGuide, acting, without_guide
+from jaxdyna.experiments.study.planners import acting, random_episodes, without_guide
 from jaxdyna.models.evaluation import Predict, change_error
 from jaxdyna.types import Agent
 
@@ -125,14 +125,6 @@ def overwrite_angle(predict: Predict) -> Predict:
         return prediction._replace(next_obs=prediction.next_obs.at[2].set(angle))
 
     return slipped
-
-
-@cache
-def random_episodes(env: Any, discount: float, steps: int) -> MakeGuide:
-    """A leaf of a tree search is worth what a random episode from it earns in ``env``."""
-    return lambda state, hparams, params: planners.Guide(
-        value=planners.rollout_value(env, params, steps, discount)
-    )
 
 
 @cache

@@ -4,12 +4,14 @@ In each run a policy is trained; the model is then fitted to equally many transi
 sources, and each fit is judged on new episodes of three policies.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxdyna import replay
 from jaxdyna.dyna import DynaConfig, DynaHParams, DynaState, Metrics, make_train, train_model
@@ -26,11 +28,8 @@ from jaxdyna.rollout import rollout
 from jaxdyna.types import Key, Transition
 
 SOURCES = ("random policy", "trained policy", "all policies of a learning run")
-JUDGES = {
-    "random policy": 1.0,
-    "trained policy": 0.0,
-    "trained policy, half its actions random": 0.5,
-}
+HALF = "trained policy, half its actions random"
+JUDGES = {"random policy": 1.0, "trained policy": 0.0, HALF: 0.5}
 """And the share of their actions at random."""
 HORIZON = 50
 SHOWN_STEPS = (1, 10, 25, HORIZON)
@@ -155,16 +154,14 @@ def _open_loop_error(predict: Any, params: Any, episodes: Transition, keys: Key)
 
 def describe(options: DataOptions, curves: Curves) -> tables.Results:
     """``change_r2`` by source and judge, ``open_loop_error`` by source and dreamed step."""
-    explained, errors = curves["r2"][:, 0], curves["open_loop"][:, 0]
-    after = {str(step): step - 1 for step in SHOWN_STEPS}
+    errors = curves["open_loop"][:, 0][..., np.subtract(SHOWN_STEPS, 1)]
+
+    def by_source(names: Sequence[str], values: Any) -> tables.Results:
+        return {source: by_class(names, values[:, row]) for row, source in enumerate(SOURCES)}
+
     return {
-        "change_r2": {
-            source: by_class(list(JUDGES), explained[:, row]) for row, source in enumerate(SOURCES)
-        },
-        "open_loop_error": {
-            source: by_class(list(after), errors[:, row, list(after.values())])
-            for row, source in enumerate(SOURCES)
-        },
+        "change_r2": by_source([*JUDGES], curves["r2"][:, 0]),
+        "open_loop_error": by_source([*map(str, SHOWN_STEPS)], errors),
     }
 
 

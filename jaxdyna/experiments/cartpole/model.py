@@ -1,7 +1,5 @@
 """How good a learned CartPole model is, on episodes that it never saw."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 
@@ -14,7 +12,7 @@ from jaxdyna.envs import CartPole
 from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report.sections import paragraphs
 from jaxdyna.experiments.report.summaries import FIRST_DREAMS, Curves
-from jaxdyna.experiments.report.tables import Results, markdown_table, whole
+from jaxdyna.experiments.report.tables import Results, markdown_table, number, whole
 from jaxdyna.models.evaluation import one_step, one_step_sums, open_loop
 from jaxdyna.rollout import rollout
 from jaxdyna.statistics import r_squared
@@ -28,13 +26,8 @@ SHOWN = {
 }
 KINDS = ("truth", "one_step", "open_loop")
 HELD_OUT_EPISODES = 20
-DASHED = (
-    "The dashed line of Fig. 5 goes on from the model's own predictions under the recorded "
-    "actions. An unstable pole makes any small error grow there: those actions balanced the real "
-    "pole, not the slightly different one that is imagined. A policy that acts in a dream reacts "
-    "to what it sees in it."
-)
 COMMON = (0.0, 0.3, 1.0)
+DREAMS = {"fake_length": "fake length", "real_length": "real length", "fake_return": "fake return"}
 
 
 def judge(
@@ -97,6 +90,7 @@ def common_transitions(count: int = 400) -> Transition:
     """
     env = CartPole()
 
+    @jax.jit
     def play(share: float, key: Key) -> Transition:
         def act(obs: jax.Array, key: Key) -> jax.Array:
             key_which, key_random = jax.random.split(key)
@@ -106,15 +100,13 @@ def common_transitions(count: int = 400) -> Transition:
 
         return rollout(env, act, key, env.default_params, 20)
 
-    keys = jax.random.split(jax.random.key(2**20), len(COMMON))
-    play_jitted = jax.jit(play)
-    chosen, drawn = np.random.default_rng(0), []
-    for number, (share, key) in enumerate(zip(COMMON, keys, strict=True)):
-        played = jax.tree.map(np.asarray, play_jitted(share, key))
-        part = jax.tree.map(lambda leaf, mask=played.mask: leaf[mask], played)
-        size = count // len(COMMON) + (number < count % len(COMMON))
-        rows = chosen.choice(len(part.mask), size, replace=False)
-        drawn.append(jax.tree.map(lambda leaf, at=rows: leaf[at, None], part))
+    def draw(share: float, key: Key, size: int) -> Transition:
+        played = jax.tree.map(np.asarray, play(share, key))
+        rows = chosen.choice(int(played.mask.sum()), size, replace=False)
+        return jax.tree.map(lambda leaf: leaf[played.mask][rows, None], played)
+
+    chosen, sizes = np.random.default_rng(0), map(len, np.array_split(np.arange(count), 3))
+    drawn = map(draw, COMMON, jax.random.split(jax.random.key(2**20), len(COMMON)), sizes)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *drawn)
 
 
@@ -122,69 +114,56 @@ def describe(options: Any, curves: Curves) -> Results:
     """One-step R² per state variable, of the next state and of its change."""
     if "held_out" not in curves:
         return {}
-    model: Results = {"held_out_transitions": int(curves["held_out"].sum())}
+    said: Results = {"held_out_transitions": int(curves["held_out"].sum())}
     for kind in ("state", "change"):
-        model[f"one_step_r2_{kind}"] = {
-            name: {"mean": float(values.mean()), "min": float(values.min()),
-                   "per_seed": values.tolist()}
-            for name, values in zip(STATES, curves[f"r2_{kind}"].T, strict=True)
-        }  # fmt: skip
-    return {"model": model}
+        said[f"one_step_r2_{kind}"] = {
+            name: {"mean": float(one.mean()), "min": float(one.min()), "per_seed": one.tolist()}
+            for name, one in zip(STATES, curves[f"r2_{kind}"].T, strict=True)
+        }
+    return {"model": said}
 
 
 def section(record: Any) -> str:
-    """The dreams and the model of each arm that has some; ``fig5_ARM.png``."""
-    said = paragraphs(
-        *(_dreams(name, arm["first_dreams"]) + _model(name, arm, record)
-          for name, arm in record.results["arms"].items())
-    )  # fmt: skip
-    return paragraphs(said, DASHED if "fig5_" in said else "")
+    """The first dreams of each arm, and the models that are learned; ``fig5_ARM.png``."""
+    arms, said = record.results["arms"], []
+    if dreams := [
+        [name, *(whole(first[key]) for key in DREAMS)]
+        for name, arm in arms.items()
+        if np.isfinite((first := arm["first_dreams"]).get("fake_length", np.nan))
+    ]:
+        said = [f"Medians over the first {FIRST_DREAMS} episodes with dreams:",
+                markdown_table(["arm", *DREAMS.values()], dreams)]  # fmt: skip
+    models = {name: arm["model"] for name, arm in arms.items()
+              if "model" in arm and not name.startswith("placebo")}  # fmt: skip
+    if models:
+        rows = [
+            [name, state, *(number(model[f"one_step_r2_{kind}"][state], of, 4)
+                            for kind in ("state", "change") for of in ("mean", "min"))]
+            for name, model in models.items() for state in STATES
+        ]  # fmt: skip
+        header = ["model of", "variable", "next state: mean", "worst run", "change: mean",
+                  "worst run"]  # fmt: skip
+        said += [
+            "## The models",
+            f"One-step R² on {HELD_OUT_EPISODES} new episodes of each run's final policy, none of "
+            "them trained on. The next state is easy to explain, because it is close to the state "
+            "before; the change of the state is the harder test.",
+            markdown_table(header, rows),
+            *(_fig5(record, name) for name in models if "show_policy_truth" in record.curves[name]),
+            "The dashed line of Fig. 5 goes on from the model's own predictions under the recorded "
+            "actions. An unstable pole makes any small error grow there: those actions balanced "
+            "the real pole, not the slightly different one that is imagined. A policy that acts in "
+            "a dream reacts to what it sees in it.",
+        ]
+    return paragraphs(*said)
 
 
-def _dreams(name: str, dreams: Results) -> str:
-    if not dreams:
-        return ""
-    if not np.isfinite(dreams["fake_length"]):
-        return f"`{name}` had no dreams.\n\n"
-    return (
-        f"In the first {FIRST_DREAMS} episodes with dreams of `{name}` the median fake episode "
-        f"lasts {dreams['fake_length']:.0f} steps for a return of {whole(dreams['fake_return'])}, "
-        f"the median real one {dreams['real_length']:.0f}.\n\n"
-    )
-
-
-def _model(name: str, arm: Results, record: Any) -> str:
-    """An arm's model, unless it is the placebo's, which is none."""
-    if "model" not in arm or name.partition("@")[0] == "placebo":
-        return ""
-    rows = [
-        [state, *(f"{arm['model'][f'one_step_r2_{kind}'][state][part]:.4f}"
-                  for kind in ("state", "change") for part in ("mean", "min"))]
-        for state in STATES
-    ]  # fmt: skip
-    return paragraphs(
-        f"## The model of `{name}`",
-        f"One-step R² on {HELD_OUT_EPISODES} new episodes of each run's final policy "
-        f"({arm['model']['held_out_transitions']:,} transitions, none of them trained on). "
-        "The next state is easy to explain, because it is close to the state before; the "
-        "change of the state is the harder test.",
-        markdown_table(
-            ["variable", "next state: mean", "worst run", "change: mean", "worst run"], rows
-        ),
-        _predictions(name, record),
-    )
-
-
-def _predictions(name: str, record: Any) -> str:
-    """Fig. 5, where the first run was played."""
-    curves = record.curves[name]
-    if "show_policy_truth" not in curves:
-        return ""
+def _fig5(record: Any, name: str) -> str:
+    curves, file = record.curves[name], f"fig5_{name}.png".replace("/", "_")
     episodes = {
         title: {kind: curves[f"show_{who}_{kind}"][: int(curves[f"show_{who}_length"])]
                 for kind in KINDS}
         for who, title in SHOWN.items()
     }  # fmt: skip
-    file = f"fig5_{name}.png".replace("/", "_")
     plots.prediction_figure(record.out / file, episodes, OUTPUTS)
-    return f"![Fig. 5: predictions of the first run's model]({file})"
+    return f"![Fig. 5: predictions of the first run's model of {name}]({file})"

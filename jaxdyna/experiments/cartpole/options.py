@@ -16,6 +16,7 @@ from jaxdyna.planners import SearchConfig, ShootingConfig
 from jaxdyna.statistics import SolveRule
 
 STEPS = {"v0": 200, "v1": 500}
+EVERY_ACTION = "MuZero's search, which looks at every action"
 RULES = {"v0": SolveRule(100, 195.0), "v1": SolveRule(100, 475.0)}
 
 
@@ -24,12 +25,10 @@ class CartPoleOptions(Options):
     """REINFORCE on CartPole, with and without fake episodes from a learned model."""
 
     decided: ClassVar = {
-        "dyna.num_episodes": "--episodes",
-        "dyna.num_steps": "--env-version",
+        "dyna.num_episodes": "--episodes", "dyna.num_steps": "--env-version",
         "hparams.env.max_steps": "--env-version",
-        "mcts.considered": "the search, which is MuZero's",
-        "mcts.gumbel_scale": "the search, which is MuZero's",
-    }
+        "mcts.considered": EVERY_ACTION, "mcts.gumbel_scale": EVERY_ACTION,
+    }  # fmt: skip
 
     arms: tuple[str, ...] = setting(
         ("model_free", "dyna"), "what is played: these, the controls placebo and oracle, and "

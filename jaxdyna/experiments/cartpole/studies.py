@@ -1,7 +1,5 @@
 """Studies: what the paper leaves open, what makes ``lean`` lean, what a worse model costs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial
@@ -19,6 +17,7 @@ from jaxdyna.experiments.study.accuracy import Measure, accuracy, describe
 Rows = dict[str, dict[str, Any]]
 OF = replace(CARTPOLE, arms=partial(arms, judged=False), describe=(first_dreams,))
 LITERAL: dict[str, Any] = {"model.normalise": False, "model.delta": False}
+MEAN: dict[str, Any] = {"model.sum_loss": False}
 CONTROLS: Rows = {
     "true environment as the model": {"arm": "oracle"},
     "untrained model (placebo)": {"arm": "placebo"},
@@ -38,11 +37,9 @@ READ: Rows = {
     "scaled by 1 standard deviation, not 3": {"model.spread": 1.0},
     "no normalisation": {"model.normalise": False},
     "no normalisation, next states": LITERAL,
-    "no normalisation, next states, mean of the batch": LITERAL | {"model.sum_loss": False},
-    "Eq. 1 as a mean of the batch": {"model.sum_loss": False},
-    "the same, scaled by 1, next states": {
-        "model.sum_loss": False, "model.spread": 1.0, "model.delta": False,
-    },
+    "no normalisation, next states, mean of the batch": LITERAL | MEAN,
+    "Eq. 1 as a mean of the batch": MEAN,
+    "the same, scaled by 1, next states": MEAN | {"model.spread": 1.0, "model.delta": False},
     "batch of 5": {"dyna.model_batch": 5},
     "LeCun initial weights": {"model.weight_variance": 1.0},
     "20 model updates": {"dyna.model_updates": 20},
@@ -55,12 +52,9 @@ READ: Rows = {
     "true environment, 2 updates on 1 fake episode each": {
         "arm": "oracle", "dyna.dream_episodes": 1,
     },
-    **{
-        f"model-free, learning rate {rate:g}": {
-            "arm": "model_free", "hparams.agent.learning_rate": rate,
-        }
-        for rate in (0.005, 0.01, 0.015, 0.02)
-    },
+    **{f"model-free, learning rate {rate}":
+       {"arm": "model_free", "hparams.agent.learning_rate": rate}
+       for rate in (0.005, 0.01, 0.015, 0.02)},
 }  # fmt: skip
 LEVER: Rows = {
     "dyna (lean preset)": {},
@@ -82,19 +76,16 @@ LEVER: Rows = {
 }
 WORSE: Rows = {
     "dyna (tuned preset)": {},
-    **{
-        f"noise of {noise:g} standard deviations on predictions": {"dream_noise": noise}
-        for noise in (0.01, 0.03, 0.1, 0.3)
-    },
+    **{f"noise of {noise} standard deviations on predictions": {"dream_noise": noise}
+       for noise in (0.01, 0.03, 0.1, 0.3)},
     **{f"hidden layers of {width}": {"model.hidden": (width, width)} for width in (64, 16, 4)},
     **{f"{count} model updates an episode": {"dyna.model_updates": count} for count in (20, 5, 2)},
     "the newest 200 transitions only": {"dyna.replay_capacity": 200},
     **{f"{SHORT} {steps} steps": {"dyna.dream_steps": steps} for steps in (100, 50, 25)},
     **CONTROLS,
-}
+}  # fmt: skip
 MEASURE = Measure(
-    curve="model_error",
-    episodes=100,
+    curve="model_error", episodes=100, hollow=SHORT,
     axis="squared error over the mean square of a step's change (logarithmic)",
     said="The error is the squared error one step ahead over the mean square of a step's change, "
     "averaged over the state's variables; within 0.2% the share of its variance that is left "
@@ -102,34 +93,27 @@ MEASURE = Measure(
     "controller that balances the pole, from one with 30% of its actions at random, and from "
     "random actions alone.",
     lines=("true environment as the model", "model-free"),
-    hollow=SHORT,
-)
+)  # fmt: skip
 
 READINGS = Study(
     name="readings",
     title="Which reading of the paper gives its effect on CartPole?",
-    of=OF,
-    preset="tuned",
-    rows=lambda options: READ,
+    of=OF, preset="tuned", rows=lambda options: READ,
     common={"episodes": 600, "stop_after_solved": 0},
     sections=(rows(), report.settings, report.spent),
-)
+)  # fmt: skip
 LEVERS = Study(
     name="levers",
     title="What makes the lean preset lean on CartPole?",
-    of=OF,
-    preset="lean",
-    rows=lambda options: LEVER,
+    of=OF, preset="lean", rows=lambda options: LEVER,
     common={"seeds": 20, "stop_after_solved": 0},
     sections=(rows("first_solved"), report.settings, report.spent),
-)
+)  # fmt: skip
 ACCURACY = Study(
     name="accuracy",
     title="Does sample efficiency grow with the model's accuracy?",
-    of=OF,
-    preset="tuned",
-    rows=lambda options: WORSE,
+    of=OF, preset="tuned", rows=lambda options: WORSE,
     common={"episodes": 500, "stop_after_solved": 0, "judged_on": "common"},
     describe=(describe(MEASURE),),
     sections=(rows(), accuracy(MEASURE), report.settings, report.spent),
-)
+)  # fmt: skip

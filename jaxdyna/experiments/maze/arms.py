@@ -1,5 +1,9 @@
 """The arms of learning to act, what is kept of their episodes, and what is judged of them. Dreams
 of all arms begin where those of ``dyna`` do and are as many and as long.
+
+The goal is 30 steps from the start. A planner without a value must look further ahead than that;
+on learned frames that costs seconds a decision, so planners look a few steps ahead and take the
+agent's values for what comes after: the learner, which is off-policy, learns from what they play.
 """
 
 from dataclasses import replace
@@ -11,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna import losses, networks, planners
-from jaxdyna.agents import DQNConfig, dqn
+from jaxdyna.agents import CloningConfig, DQNConfig, DQNState, cloning, dqn, q_values
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, Metrics
 from jaxdyna.envs import FrameStack, Maze, MazeParams, StackState
 from jaxdyna.envs.maze import MOVES
@@ -19,21 +23,19 @@ from jaxdyna.experiments.frames.options import decayed_adam
 from jaxdyna.experiments.maze.frames import TUNED as FRAMES
 from jaxdyna.experiments.maze.options import MazeOptions
 from jaxdyna.experiments.maze.oracle import true_dream
-from jaxdyna.experiments.maze.planned import by_values, imitator
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
 from jaxdyna.experiments.study.frames import frame_dyna
-from jaxdyna.experiments.study.planners import acting
+from jaxdyna.experiments.study.planners import acting, by_values
 from jaxdyna.models import PixelConfig, pixels
 from jaxdyna.rollout import first_states, rollout
-from jaxdyna.types import Key, Transition
+from jaxdyna.types import Agent, Key, Transition
 
 STARTS, AT_ONCE = 1000, 100
 JUDGED = 2
 DRIFT = (0.1, 0.35, 0.35, 0.1, 0.1)
 """Odds of the moves of a policy that drifts to the goal."""
 SAID = study.SAID | {
-    "oracle": "the same dreams in the true maze, from where those of `dyna` begin.",
     "mpc": "after the first N episodes the best of random action sequences in the learned model "
     "acts, the agent's values for what comes after them. No dreams.",
     "mcts": "likewise MuZero's tree search, the agent's values at its leaves and for its prior's "
@@ -98,6 +100,21 @@ def parts(maze: Maze, agent: DQNConfig, model: PixelConfig, common: int | None =
     learner, learned = dqn(shape, len(MOVES), agent), pixels(shape, len(MOVES), model)
     dyna = frame_dyna(env, learner, learned, partial(behaviour, maze))
     return dyna if common is None else on_common(dyna, common_transitions(env, common))
+
+
+@cache
+def imitator(dyna: Dyna, config: DQNConfig, imitation: CloningConfig) -> Agent:
+    """The agent of ``dyna``, which imitates what it is shown."""
+    stack = dyna.env.observation_space(dyna.env.default_params).shape
+    example = jax.ShapeDtypeStruct(stack, np.uint8), jax.ShapeDtypeStruct((), np.int32)
+
+    def values(params: Any, obs: jax.Array) -> jax.Array:
+        return q_values(config.network, params, obs[None])[0]
+
+    def install(state: DQNState, params: Any) -> DQNState:
+        return replace(state, params=params, target=jax.tree.map(jnp.copy, params))
+
+    return cloning(dyna.agent, values, example, imitation, install)
 
 
 def behaviour(maze: Maze, real: Transition, begun: StackState, params: MazeParams) -> Metrics:

@@ -17,15 +17,13 @@ from jaxdyna.experiments.study.accuracy import Measure, accuracy, describe
 OTHER = "agent: "
 COLUMN = "first_solved"
 MEASURE = Measure(
-    curve="wrong_frames",
-    episodes=35,
+    curve="wrong_frames", episodes=35, hollow=OTHER,
     axis="share of frames predicted wrong (logarithmic)",
     said="The error is the share of frames that are predicted wrong anywhere, one step ahead. "
     "Every model is judged on the same new episodes: half of a uniformly random policy, half of "
     "one that drifts to the goal.",
     lines=("true environment as the model", "model-free", "model-free, as many updates"),
-    hollow=OTHER,
-)
+)  # fmt: skip
 WORSE: dict[str, Overrides] = {
     "model: L2 loss": {"model_loss": "l2"},
     "model: L1 loss": {"model_loss": "l1"},
@@ -45,13 +43,9 @@ CONTROLS: dict[str, Overrides] = {
 
 
 def levers(options: MazeOptions) -> dict[str, Overrides]:
-    """Every row."""
-    other = {f"{OTHER}{name}": row for name, row in other_dreams(options).items()}
-    return {"dyna (lean preset)": {}} | WORSE | other | CONTROLS
-
-
-def other_dreams(options: MazeOptions) -> dict[str, Overrides]:
-    """What changes how dreams are used, or the agent, with the same model."""
+    """Every row; how dreams are used and what the agent does with them, with the same model, are
+    `OTHER` ones.
+    """
     dreams, length = options.dyna.dream_episodes, options.dyna.dream_steps or options.steps
     kept, some = options.agent.fake_capacity, 10 * options.steps
 
@@ -61,7 +55,7 @@ def other_dreams(options: MazeOptions) -> dict[str, Overrides]:
     def as_many(count: int) -> Overrides:
         return {"dyna.dream_episodes": count, "agent.fake_capacity": kept * count // dreams}
 
-    return {
+    other = {
         "N = 5": {"dyna.num_real_first": 5},
         "N = 30": {"dyna.num_real_first": 30},
         "dreams of 1 step(s), as many steps": as_long(1),
@@ -77,6 +71,8 @@ def other_dreams(options: MazeOptions) -> dict[str, Overrides]:
         "model and dreams know the newest 10 real episodes only": {"dyna.replay_capacity": some},
         "dreams of the newest 2 real episodes only": {"agent.fake_capacity": 2 * dreams * length},
     }
+    renamed = {f"{OTHER}{name}": row for name, row in other.items()}
+    return {"dyna (lean preset)": {}} | WORSE | renamed | CONTROLS
 
 
 LEVERS = Study(

@@ -21,16 +21,12 @@ class MazeOptions(Options):
     """DQN in the Maze, with and without fake episodes from a learned model."""
 
     decided: ClassVar = {
-        "dyna.num_episodes": "--episodes",
-        "dyna.num_steps": "--steps",
-        "agent.network": "--network",
-        "hparams.env.max_steps": "--steps",
-        "mpc.discount": "--hparams.agent.discount",
-        "mcts.discount": "--hparams.agent.discount",
-        "mcts.considered": EVERY_ACTION,
-        "mcts.gumbel_scale": EVERY_ACTION,
+        "dyna.num_episodes": "--episodes", "dyna.num_steps": "--steps",
+        "hparams.env.max_steps": "--steps", "agent.network": "--network",
+        "mpc.discount": "--hparams.agent.discount", "mcts.discount": "--hparams.agent.discount",
+        "mcts.considered": EVERY_ACTION, "mcts.gumbel_scale": EVERY_ACTION,
         "cloning.capacity": "--shown-episodes",
-    }
+    }  # fmt: skip
 
     arms: tuple[str, ...] = setting(("model_free", "dyna"), "what is played", everyday=True)
     size: int = setting(16, "cells a side of the board", at_least=2, everyday=True)
@@ -107,8 +103,8 @@ LEAN = changed(TUNED, {
     "hparams.agent": DQNHParams(epsilon_hold=15.0, epsilon_episodes=5.0),
 })  # fmt: skip
 FEW: Overrides = {"seeds": 2, "size": 6, "obstacles": 1, "steps": 40, "episodes": 80}
-SOONER: Overrides = {
-    "dyna.num_real_first": 15, "hparams.agent.epsilon_hold": 5.0,
-    "hparams.agent.epsilon_episodes": 10.0,
+QUICK: dict[str, Overrides] = {
+    "tuned": {**FEW, "dyna.num_real_first": 15, "hparams.agent.epsilon_hold": 5.0,
+              "hparams.agent.epsilon_episodes": 10.0},
+    "lean": FEW,
 }  # fmt: skip
-QUICK: dict[str, Overrides] = {"tuned": {**FEW, **SOONER}, "lean": FEW}

@@ -18,16 +18,9 @@ def true_dream(maze: Maze) -> Dream:
 
 
 def read_state(maze: Maze, stack: jax.Array, key: Key) -> MazeState:
-    """The state that a stack of frames shows.
-
-    Args:
-        maze: whose frames they are.
-        stack: ``[size, size, 3 * frames]``, the newest last.
-        key: draws what cannot be told: which way an obstacle goes at the start of an episode. Of
-            obstacles that share a cell each takes the direction that explains the frames next best.
-
-    Returns:
-        The state at step 0.
+    """The state, at step 0, that a stack of frames ``[size, size, 3 * frames]`` shows, the newest
+    last. The key draws what cannot be told: which way an obstacle goes at the start of an episode.
+    Of obstacles that share a cell each takes the direction that explains the frames next best.
     """
     frames = stack.reshape(maze.size, maze.size, -1, 3) > 0
     red, agent, goal = frames[..., 0], frames[:, :, -1, 2], frames[:, :, -1, 1]

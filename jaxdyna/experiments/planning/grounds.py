@@ -15,10 +15,9 @@ from jaxdyna.envs import Maze
 from jaxdyna.experiments import cartpole, maze
 from jaxdyna.experiments.engine import Arm
 from jaxdyna.experiments.maze.arms import agent_of, model_of
-from jaxdyna.experiments.maze.planned import by_values
 from jaxdyna.experiments.planning.budgets import Contender, Ground
+from jaxdyna.experiments.study import planners as guides
 from jaxdyna.experiments.study.arms import greedy
-from jaxdyna.experiments.study.planners import MakeGuide, on_model, without_guide
 from jaxdyna.fields import changed, check, setting
 from jaxdyna.sweep import over_runs
 
@@ -83,12 +82,12 @@ def cartpole_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Cont
         shooting = replace(options.mpc, candidates=count)
         for world, env in worlds(dyna).items():
             plan, steps = planners.random_shooting(env, shooting), count * shooting.horizon
-            yield of("MPC", world, steps, plan, without_guide)
+            yield of("MPC", world, steps, plan, guides.without_guide)
     for count in sizes.simulations:
         search = replace(options.mcts, simulations=count)
         for world, env in worlds(dyna).items():
             plan, steps = planners.muzero(env, search), count * (1 + depth)
-            guide = cartpole.arms.random_episodes(env, discount, depth)
+            guide = guides.random_episodes(env, discount, depth)
             yield of("MCTS", world, steps, plan, guide)
 
 
@@ -116,14 +115,14 @@ def maze_ground(key: jax.Array, sizes: Sizes) -> Grounds:
 
 def maze_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Contender]:
     """Who is compared in the Maze."""
-    discount, values = options.hparams.agent.discount, by_values(agent_of(options))
+    discount, values = options.hparams.agent.discount, guides.by_values(agent_of(options))
     far = planners.ShootingConfig(int(FAR * 2 * (options.size - 1)), drift=3.0)
     of = partial(planner, dyna, options.hparams)
 
     yield policy(dyna, greedy(options.hparams.agent))
     for count in sizes.far_candidates:
         plan = planners.random_shooting(dyna.env, replace(far, candidates=count))
-        yield of("MPC to the goal", "true", count * far.horizon, plan, without_guide)
+        yield of("MPC to the goal", "true", count * far.horizon, plan, guides.without_guide)
     for count in sizes.candidates:
         near = replace(options.mpc, candidates=count, discount=discount)
         for world, env in worlds(dyna).items():
@@ -152,10 +151,10 @@ def policy(dyna: Dyna, hparams: Any) -> Contender:
 
 def planner(
     dyna: Dyna, hparams: DynaHParams, who: str, world: str, steps: int, plan: planners.Planner,
-    guide: MakeGuide,
+    guide: guides.MakeGuide,
 ) -> Contender:  # fmt: skip
     """Plans in the true environment from the true state, in the learned one from what is seen."""
-    decide = on_model(dyna, plan, guide)
+    decide = guides.on_model(dyna, plan, guide)
 
     def act(state: DynaState, obs: jax.Array, true_state: Any, key: jax.Array) -> jax.Array:
         if world == "learned":

@@ -9,14 +9,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.agents import CloningState, DQNConfig, q_values
 from jaxdyna.dyna import Dyna, DynaHParams, DynaState, Expert
 from jaxdyna.models import LearnedState
-from jaxdyna.planners import Guide, Planner
+from jaxdyna.planners import Guide, Planner, rollout_value
 from jaxdyna.types import Key
 
 MakeGuide = Callable[[DynaState, DynaHParams, Any], Guide]
 """``(state, hparams, env_params) -> guide``: what the planner is told beside the world."""
-
 MakePlanner = Callable[[Any, Any], Planner]
 """``(env, config) -> planner``, such as `jaxdyna.planners.random_shooting`."""
 
@@ -51,3 +51,29 @@ def on_model(dyna: Dyna, planner: Planner, guide: MakeGuide) -> Callable[..., ja
 def without_guide(state: DynaState, hparams: DynaHParams, env_params: Any) -> Guide:
     """The world is all that the planner is told."""
     return Guide()
+
+
+@cache
+def random_episodes(env: Any, discount: float, steps: int) -> MakeGuide:
+    """What is looked at last is worth what a random episode from it earns in ``env``."""
+    return lambda state, hparams, params: Guide(value=rollout_value(env, params, steps, discount))
+
+
+@cache
+def by_values(config: DQNConfig) -> MakeGuide:
+    """What is looked at last is worth the values by which a DQN acts, or one that imitates."""
+
+    def guide(state: DynaState, hparams: DynaHParams, env_params: Any) -> Guide:
+        imitates = isinstance(state.agent, CloningState)
+        learner = state.agent.agent if imitates else state.agent
+        params = learner.target if config.act_by_target else learner.params
+
+        def prior(obs: jax.Array) -> jax.Array:
+            return q_values(config.network, params, obs[None])[0]
+
+        def value(obs: jax.Array, where: Any, key: Any) -> jax.Array:
+            return prior(obs).max() / hparams.agent.reward_scale
+
+        return Guide(prior, value)
+
+    return guide
