@@ -239,8 +239,8 @@ def legend_above(figure: Figure, panels: Iterable[Axes], title: str | None = Non
         for panel in panels
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
     }
-    figure.legend(named.values(), named, loc="outside upper center", ncols=4, fontsize=8,
-                  frameon=False, title=title, title_fontsize=8)  # fmt: skip
+    figure.legend(list(named.values()), list(named), loc="outside upper center", ncols=4,
+                  fontsize=8, frameon=False, title=title, title_fontsize=8)  # fmt: skip
 
 
 def colour(name: str) -> str:

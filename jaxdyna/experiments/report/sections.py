@@ -39,11 +39,6 @@ def paragraphs(*parts: str) -> str:
     return "\n\n".join(part.strip("\n") for part in parts if part)
 
 
-def figure(record: Any, name: str, said: str) -> str:
-    """A figure's line, where there is that file."""
-    return f"![{said}]({name})" if (record.out / name).exists() else ""
-
-
 def grouped(record: Any, by: str = "arm", of: str = "setting") -> dict[str, dict[str, str]]:
     """The full names of the entries of ``results["arms"]``, by arm and setting, or the reverse."""
     names: dict[str, dict[str, str]] = {}
