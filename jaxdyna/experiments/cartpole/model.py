@@ -105,8 +105,9 @@ def common_transitions(count: int = 400) -> Transition:
         rows = chosen.choice(int(played.mask.sum()), size, replace=False)
         return jax.tree.map(lambda leaf: leaf[played.mask][rows, None], played)
 
-    chosen, sizes = np.random.default_rng(0), map(len, np.array_split(np.arange(count), 3))
-    drawn = map(draw, COMMON, jax.random.split(jax.random.key(2**20), len(COMMON)), sizes)
+    chosen, kinds = np.random.default_rng(0), len(COMMON)
+    sizes = map(len, np.array_split(np.arange(count), kinds))
+    drawn = map(draw, COMMON, jax.random.split(jax.random.key(2**20), kinds), sizes)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *drawn)
 
 

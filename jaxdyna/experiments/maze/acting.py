@@ -96,7 +96,6 @@ def _stages(options: MazeOptions, curves: Any) -> dict[str, np.ndarray]:
     ending = "solved" if solved_at <= played else "last, unsolved"
     maze, stages = Maze(options.size, options.obstacles), {}
     begun_and_done = [curves[f"show_{part}"] for part in ("obstacles", "directions", "action")]
-    begun_and_done = [curves[f"show_{part}"] for part in ("obstacles", "directions", "action")]
     for number in sorted({*(one for one in (*FILMED, first, first + 10) if one < end), end}):
         title = f"episode {number}" + (f" ({ending})" if number == end else "")
         shown = replay(maze, *(part[number - 1] for part in begun_and_done))
