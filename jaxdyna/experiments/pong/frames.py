@@ -52,7 +52,7 @@ class PongFrames(world.GameOptions, FrameOptions):
     dream_from: ClassVar = 10
 
     arms: tuple[str, ...] = setting(tuple(SAID), "the models that are trained", everyday=True)
-    episodes: int = setting(1000, "episodes of each policy to learn from", at_least=1, everyday=True)
+    episodes: int = setting(1000, "of each policy, to learn from", at_least=1, everyday=True)
     policies: tuple[Policy, ...] = setting(
         POLICIES, "whose episodes: random: every action at random; mixed: players of all "
         "strengths, from random ones to one that follows the ball", everyday=True,

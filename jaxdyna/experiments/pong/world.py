@@ -38,7 +38,7 @@ class GameOptions(Options):
         "jax", "jax: the pure game; ale: the Atari 2600 game (the atari extra)", everyday=True
     )
     frames: Literal["objects", "rgb"] = setting(
-        "objects", "objects: each in a channel; rgb: colours, as in the paper", everyday=True
+        "objects", "objects: each in its own channel; rgb: the game's colours", everyday=True
     )
     seeds: int = setting(6, "runs of every arm", at_least=1, everyday=True)
     steps: int = setting(200, "steps of an episode", at_least=1, everyday=True)
