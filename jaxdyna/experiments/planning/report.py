@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxdyna.experiments.engine import Record, Results, Table
+from jaxdyna.experiments.engine import Record, Results
 from jaxdyna.experiments.planning import claim
 from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report.sections import paragraphs
@@ -39,7 +39,7 @@ def decisions(record: Record) -> str:
     return paragraphs(
         "## What a decision costs, and what it earns",
         ABOUT.format(batch=budgets[0]["batch"]),
-        *(f"{name}:\n\n{markdown_table(*table)}" for name, table in tables(budgets).items()),
+        *(f"{name}:\n\n{table(here)}" for name, here in by_environment(budgets).items()),
         GROUNDS,
         "![share of the return that could be had, against milliseconds a decision](decisions.png)",
     )
@@ -52,31 +52,27 @@ def robust(record: Record) -> str:
     return paragraphs(f"## {claim.TITLE}", *said) if lines else ""
 
 
-def tables(budgets: list[Results]) -> dict[str, Table]:
-    """By environment, a line a contender."""
-    header = ["who decides", "steps", "share (95% interval)", "gain (95% interval)", "ms",
-              "times the policy's", "ms in a batch"]  # fmt: skip
-    return {
-        name: (header, [_line(row, here[0]) for row in here])
-        for name, here in by_environment(budgets).items()
-    }
-
-
-def _line(row: Results, policy: Results) -> list[str]:
-    share, gain = (interval(row[f"{name}_ci95"], 3) for name in ("share", "gain"))
-    return [
-        row["label"], f"{row['steps']:,}", f"{row['share']:.3f} ({share})",
-        "-" if row is policy else f"{row['gain']:+.3f} ({gain})", f"{row['ms']:.3g}",
-        f"{row['ms'] / policy['ms']:,.0f}", f"{row['ms_in_batch']:.3g}",
-    ]  # fmt: skip
-
-
 def by_environment(budgets: list[Results]) -> dict[str, list[Results]]:
     """The rows of each, the policy's first."""
     found: dict[str, list[Results]] = {}
     for row in budgets:
         found.setdefault(row["environment"], []).append(row)
     return found
+
+
+def table(rows: list[Results]) -> str:
+    """A line a contender of one environment, the policy's first."""
+    lines = []
+    for row in rows:
+        share, gain = (interval(row[f"{name}_ci95"], 3) for name in ("share", "gain"))
+        lines.append([
+            row["label"], f"{row['steps']:,}", f"{row['share']:.3f} ({share})",
+            "-" if row is rows[0] else f"{row['gain']:+.3f} ({gain})", f"{row['ms']:.3g}",
+            f"{row['ms'] / rows[0]['ms']:,.0f}", f"{row['ms_in_batch']:.3g}",
+        ])  # fmt: skip
+    header = ["who decides", "steps", "share (95% interval)", "gain (95% interval)", "ms",
+              "times the policy's", "ms in a batch"]  # fmt: skip
+    return markdown_table(header, lines)
 
 
 def figure(path: Path, budgets: list[Results]) -> None:
