@@ -100,8 +100,8 @@ def bands(
     for panel, (title, lines) in zip(drawn.flat, panels.items(), strict=False):
         for name, values in lines.items():
             shown = carried(running_mean(values, window)) if window else values
-            band(panel, shown, shades[name], name, at, marker="o", markersize=5,
-                 markevery=list((dots or {}).get(name, ())))  # fmt: skip
+            band(panel, shown, shades[name], name, at, marker="o" if dots else None,
+                 markersize=5, markevery=(dots or {}).get(name))  # fmt: skip
         panel.set(**axes)
         finish(panel, title, x, legend=False)
     for panel in drawn[:, 0]:
