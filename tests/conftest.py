@@ -1,12 +1,17 @@
 """Every test runs with JAX's key-reuse checker on, and on two devices, whatever the machine has.
-Tests compile more than they compute, so XLA optimises as little as it can, and what one test
-process has compiled is kept for all of them (a run that is resumed is the same program).
+Tests compile more than they compute, so XLA optimises as little as it can and in the way that is
+quickest to compile, and what one test process has compiled is kept for all of them (a run that is
+resumed is the same program).
 """
 
 import os
 from tempfile import TemporaryDirectory
 
-os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
+QUICK = (
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false "
+    "--xla_cpu_parallel_codegen_split_count=1"
+)
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICK}"
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # processes that this one starts find it set
     PROGRAMS = TemporaryDirectory(prefix="jaxdyna-tests-", ignore_cleanup_errors=True)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = PROGRAMS.name

@@ -1,7 +1,5 @@
 """``python -m jaxdyna.experiments.merge DIR... --out DIR``: one record of a run's shards."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Learning to catch: settings, arms, report."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, ClassVar, Self

@@ -1,7 +1,5 @@
 """Predicting the frames of Catch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

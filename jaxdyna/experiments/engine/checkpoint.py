@@ -4,8 +4,6 @@ A file a block, written whole or not at all: arrays by the names of the state's 
 axis of runs in front, and nothing of devices in them. NumPy's format carries checksums.
 """
 
-from __future__ import annotations
-
 import json
 import time
 import zipfile
@@ -74,27 +72,6 @@ class Kept:
         return jax.device_put(jax.tree.unflatten(structure, leaves), place)
 
 
-class Store:
-    """The checkpoints of one arm.
-
-    Args:
-        folder: of its own, made when needed.
-    """
-
-    def __init__(self, folder: Path):
-        self.folder = folder
-
-    def block(self, number: int) -> BlockStore:
-        """Those of one block."""
-        return BlockStore(self.folder / f"block{number}.npz")
-
-    def seconds(self) -> float:
-        """Seconds played up to the last checkpoint of any."""
-        return max(
-            (_about(path)["seconds"] for path in self.folder.glob("block*.npz")), default=0.0
-        )
-
-
 class BlockStore:
     """The newest checkpoint of a block, replaced only once the next is whole."""
 
@@ -144,6 +121,27 @@ class BlockStore:
                     row, _, rest = rest.partition("/")
                     over[int(row)][rest] = file[name]
         return Kept(about["done"], state, metrics, over)
+
+
+class Store:
+    """The checkpoints of one arm.
+
+    Args:
+        folder: of its own, made when needed.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+
+    def block(self, number: int) -> BlockStore:
+        """Those of one block."""
+        return BlockStore(self.folder / f"block{number}.npz")
+
+    def seconds(self) -> float:
+        """Seconds played up to the last checkpoint of any."""
+        return max(
+            (_about(path)["seconds"] for path in self.folder.glob("block*.npz")), default=0.0
+        )
 
 
 def _about(path: Path) -> dict[str, Any]:

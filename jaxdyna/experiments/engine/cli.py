@@ -1,7 +1,5 @@
 """Command lines derived from declared settings, with errors of one line."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import dataclasses

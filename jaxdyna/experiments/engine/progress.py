@@ -1,7 +1,5 @@
 """The bars in the terminal: an arm each, what runs and how long is left."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from rich.console import Console
