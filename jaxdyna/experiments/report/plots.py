@@ -214,6 +214,27 @@ def error_scatter(
     save(figure, path)
 
 
+def swept_map(
+    path: Path, sweep: Mapping[str, Sequence[Any]], values: Mapping[str, np.ndarray], what: str
+) -> None:
+    """``what`` over a grid of two settings, a panel an arm, ``[rows, columns]``; ``sweep`` has the
+    settings' values by dotted path, rows first.
+    """
+    (rows, row_values), (columns, column_values) = sweep.items()
+    size = (1.5 + (2.4 + 0.7 * len(column_values)) * len(values), 2.2 + 0.5 * len(row_values))
+    figure, panels = subplots(1, len(values), figsize=size, squeeze=False)
+    for panel, (name, grid) in zip(panels.flat, values.items(), strict=True):
+        picture = panel.imshow(grid, cmap="viridis_r", aspect="auto")
+        for (row, column), value in np.ndenumerate(grid):
+            shade = "black" if value <= (grid.min() + grid.max()) / 2 else "white"
+            panel.text(column, row, f"{value:.0f}", ha="center", va="center", color=shade)
+        panel.set_xticks(range(len(column_values)), [str(value) for value in column_values])
+        panel.set_yticks(range(len(row_values)), [str(value) for value in row_values])
+        finish(panel, name, columns, rows, legend=False)
+        figure.colorbar(picture, ax=panel, label=what)
+    save(figure, path)
+
+
 def band(panel: Axes, values: np.ndarray, shade: str, label: str, x: Any = None, **line: Any):
     """The mean over seeds of ``[seeds, n]`` with its 95% interval, against 1 to n or ``x``."""
     x = np.arange(1, values.shape[1] + 1) if x is None else x

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
-from itertools import product
 from typing import Any, Concatenate, ParamSpec
 
 import numpy as np
@@ -116,26 +115,34 @@ def behaviour(
 
 
 def swept(record: Any) -> str:
-    """Returns for what was swept: the last field's values are lines, those of the others panels; of
-    the arms of which every value has been played.
+    """What was swept, of the arms of which every value has been played: returns for one field, a
+    map of episodes to solve for two.
     """
-    sweep = record.results["sweep"]
-    *paths, last = [path.split(".")[-1] for path in sweep] or [""]
-    points = list(product(*sweep.values()))
-    panels: dict[str, dict[str, np.ndarray]] = {}
-    for arm, names in grouped(record).items():
-        played = [record.curves[name] for name in names.values()]
-        if sweep and len(played) == len(points) and "real_return" in played[0]:
-            for (*others, value), curves in zip(points, played, strict=True):
-                at = (f"{path} {one}" for path, one in zip(paths, others, strict=True))
-                panels.setdefault(", ".join([arm, *at]), {})[str(value)] = curves["real_return"]
-    if not panels:
+    sweep, arms = record.results["sweep"], record.results["arms"]
+    shape, file = [len(values) for values in sweep.values()], record.out / "sweep.png"
+    whole = {
+        arm: list(names.values())
+        for arm, names in grouped(record).items()
+        if len(names) == np.prod(shape) and all("final_return" in arms[n] for n in names.values())
+    }
+    if len(shape) not in (1, 2) or not whole:
         return ""
-    window = plots.smoothing_window(one for lines in panels.values() for one in lines.values())
-    plots.bands(
-        record.out / "sweep.png", panels, f"real episodes (running mean of {window})",
-        "return: mean of runs, 95% interval", window=window, legend=last,
-    )  # fmt: skip
+    if len(shape) == 1:
+        [(path, values)] = sweep.items()
+        panels = {
+            arm: {str(value): record.curves[name]["real_return"]
+                  for value, name in zip(values, names, strict=True)}
+            for arm, names in whole.items()
+        }  # fmt: skip
+        window = plots.smoothing_window(one for lines in panels.values() for one in lines.values())
+        plots.bands(file, panels, f"real episodes (running mean of {window})",
+                    "return: mean of runs, 95% interval", window=window, legend=path)  # fmt: skip
+    else:
+        least = {
+            arm: np.reshape([arms[n]["episodes_to_solve"]["restricted_mean"] for n in names], shape)
+            for arm, names in whole.items()
+        }
+        plots.swept_map(file, sweep, least, "episodes to solve, mean")
     return f"![swept: {', '.join(sweep)}](sweep.png)"
 
 
