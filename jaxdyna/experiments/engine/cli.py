@@ -52,58 +52,43 @@ class Call:
         return int(number), int(of)
 
 
-def called(argv: Sequence[str], prog: str) -> tuple[Call, list[str]]:
-    """What the command line says beside the settings, and what is left of it.
+def read(kind: type[O], argv: Sequence[str], prog: str, **how: Any) -> Any:
+    """What a command line says of the fields of a dataclass.
 
     Args:
+        kind: the dataclass.
         argv: the arguments.
         prog: the command as the user types it.
+        how: `tyro.cli`'s.
 
     Raises:
         SystemExit: with code 2 and one line on bad input.
     """
-    return _quietly(
-        prog, argv, lambda: tyro.cli(Call, args=list(argv), prog=prog, return_unknown_args=True)
-    )
-
-
-def read(kind: type[O], argv: Sequence[str], prog: str) -> O:
-    """The arguments of a command that is no experiment.
-
-    Args:
-        kind: a dataclass.
-        argv: the arguments.
-        prog: the command as the user types it.
-
-    Raises:
-        SystemExit: with code 2 and one line on bad input.
-    """
-    return _quietly(prog, argv, lambda: tyro.cli(kind, args=list(argv), prog=prog))
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(kind, args=list(argv), prog=prog, **how)
+    except SystemExit as stop:
+        cause: BaseException | None = stop
+        while cause is not None and not isinstance(cause, SettingError):
+            cause = cause.__context__  # tyro puts it in a panel, by the name of its field alone
+        if cause is not None:
+            fail(f"{flag_of(cause, argv)} {cause.said}", prog)
+        fail(_one_line(complaint.getvalue()), prog)
+    except SettingError as error:
+        fail(f"{flag_of(error, argv)} {error.said}", prog)
+    except (ValueError, TypeError) as error:
+        fail(str(error), prog)
 
 
 def parse(default: O, argv: Sequence[str], prog: str) -> O:
-    """An experiment's settings.
-
-    Args:
-        default: where all start from.
-        argv: flags by dotted path.
-        prog: the command as the user types it.
-
-    Raises:
-        SystemExit: with code 2 and one line on bad input.
-    """
+    """An experiment's settings: `read`, flags by dotted path, all others as in ``default``."""
     kind: Any = type(default)
     for word in argv:
-        path = _path(word)
-        for decided, by in kind.decided.items():
-            if word.startswith("--") and path == decided:
-                fail(f"{word.partition('=')[0]} is decided by {by}: leave it out", prog)
-    config = (tyro.conf.SuppressFixed,)
-    return _quietly(
-        prog,
-        argv,
-        lambda: tyro.cli(kind, default=default, args=list(argv), prog=prog, config=config),
-    )
+        if word.startswith("--") and (path := _path(word)) in kind.decided:
+            flag = word.partition("=")[0]
+            fail(f"{flag} is decided by {kind.decided[path]}: leave it out", prog)
+    return read(kind, argv, prog, default=default, config=(tyro.conf.SuppressFixed,))
 
 
 def swept(options: Any, said: Sequence[str]) -> dict[str, list[Any]]:
@@ -203,24 +188,6 @@ def flag_of(error: SettingError, argv: Sequence[str]) -> str:
     return f"--{error.path.replace('_', '-')}"
 
 
-def _quietly(prog: str, argv: Sequence[str], call: Any) -> Any:
-    complaint = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(complaint):
-            return call()
-    except SystemExit as stop:
-        cause: BaseException | None = stop
-        while cause is not None and not isinstance(cause, SettingError):
-            cause = cause.__context__  # tyro puts it in a panel, by the name of its field alone
-        if cause is not None:
-            fail(f"{flag_of(cause, argv)} {cause.said}", prog)
-        fail(_one_line(complaint.getvalue()), prog)
-    except SettingError as error:
-        fail(f"{flag_of(error, argv)} {error.said}", prog)
-    except (ValueError, TypeError) as error:
-        fail(str(error), prog)
-
-
 def _path(word: str) -> str:
     return word.partition("=")[0].removeprefix("--").replace("-", "_")
 
@@ -237,8 +204,8 @@ def _one_line(panel: str) -> str:
     return " ".join(inside) or " ".join(panel.split())
 
 
-def by_name(parts: Mapping[str, Any], name: str | None, prog: str) -> Any:
-    """The part that ``--part`` names; the first without."""
-    if name is not None and name not in parts:
-        fail(f"--part {name}: there is no such part; there are {', '.join(parts)}", prog)
-    return parts[name] if name is not None else next(iter(parts.values()))
+def by_name(known: Mapping[str, O], what: str, name: str | None, prog: str) -> O:
+    """What ``--part`` or ``--preset`` names; the first without."""
+    if name is not None and name not in known:
+        fail(f"--{what} {name}: there is no such {what}; there are {', '.join(known)}", prog)
+    return known[name] if name is not None else next(iter(known.values()))

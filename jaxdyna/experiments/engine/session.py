@@ -86,15 +86,11 @@ def main(
 def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str) -> Session:
     """The session that a command line asks for; nothing is played yet."""
     asked = [word for word in argv if word not in ("--help", "-h", "--help-all")]
-    call, rest = cli.called(asked, prog)
-    part = cli.by_name({part.name: part for part in parts}, call.part, prog)
+    call, rest = cli.read(cli.Call, asked, prog, return_unknown_args=True)
+    part = cli.by_name({part.name: part for part in parts}, "part", call.part, prog)
     experiment = part.experiment() if isinstance(part, Study) else part
-    presets = experiment.presets
-    if call.preset is not None and call.preset not in presets:
-        cli.fail(f"--preset {call.preset}: there is no such preset; there are {', '.join(presets)}",
-                 prog)  # fmt: skip
-    preset = call.preset or next(iter(presets))
-    default = presets[preset]
+    default = cli.by_name(experiment.presets, "preset", call.preset, prog)
+    preset = call.preset or next(iter(experiment.presets))
     if len(asked) < len(argv):
         names = [part.name for part in parts]
         print(cli.help_text(prog, names, default, everything="--help-all" in argv))
