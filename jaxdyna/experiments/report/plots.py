@@ -89,7 +89,7 @@ def bands(
         legend: its title.
         axes: of every panel, as ``matplotlib.axes.Axes.set`` takes them.
     """
-    columns = min(len(panels), 3)
+    columns = {1: 1, 2: 2, 4: 2}.get(len(panels), 3)
     rows = -(-len(panels) // columns)
     size = (2.2 + 3.4 * columns, 0.5 + 3.5 * rows)
     figure, drawn = subplots(rows, columns, figsize=size, sharey=bool(y), squeeze=False)

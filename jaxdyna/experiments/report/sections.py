@@ -52,9 +52,9 @@ def solving(
     said: str = "",
 ) -> str:  # fmt: skip
     """The table of arms and the ratios between them; the paper's own figures beside."""
-    counted = runs(len(record.results["runs"]["seeds"]))
+    counted, solves = runs(len(record.results["runs"]["seeds"])), str(rule(record.options))
     return paragraphs(
-        f"{counted} of each arm. {str(rule(record.options)).capitalize()}. {said} {COUNTED}",
+        f"{counted} of each arm. {solves.capitalize()}. {COUNTED} {said}".rstrip(),
         markdown_table(*tables.solve_table(record.results, paper=paper)),
         *comparisons(record.results, ratio), swept(record),
     )  # fmt: skip
