@@ -142,7 +142,9 @@ class Session:
     shard: tuple[int, int] = (1, 1)
     sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     family: str = ""
-    console: Console = field(default_factory=lambda: Console(highlight=False))
+    console: Console = field(
+        default_factory=lambda: Console(highlight=False, width=None if sys.stdout.isatty() else 100)
+    )
 
     def begin(self) -> None:
         """Makes the arms, and takes up what is there or sets it aside.

@@ -1,5 +1,6 @@
 """Numbers in words, and tables of them for Markdown."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -48,6 +49,11 @@ def per_seed(summary: Summary, unsolved: float = np.inf) -> np.ndarray:
     return np.array([unsolved if one is None else one for one in summary["per_seed"]], float)
 
 
+def label(name: str) -> str:
+    """An entry's name with the last word of what was swept: ``dyna@learning_rate=0.01``."""
+    return re.sub(r"(?<=[@,])[\w.]+\.(\w+=)", r"\1", name)
+
+
 def solve_table(
     results: Results, figure: str = "episodes_to_solve", paper: Mapping[str, float] | None = None
 ) -> Table:
@@ -60,11 +66,15 @@ def solve_table(
     for name, arm in results["arms"].items():
         solve, papers = arm[figure], (paper or {}).get(name)
         table.append([
-            name, "-" if papers is None else f"{papers:g}", with_interval(solve),
+            label(name), "-" if papers is None else f"{papers:g}", with_interval(solve),
             number(solve, "median"), f"{solve['solved']}/{solve['seeds']}",
             number(arm["real_steps_to_solve"], "median"),
         ])  # fmt: skip
-    header, *rows = table if paper else [[name, *rest] for name, _, *rest in table]
+    header, *rows = (
+        table
+        if set(paper or ()) & set(results["arms"])
+        else [[name, *rest] for name, _, *rest in table]
+    )
     return header, rows
 
 
