@@ -4,7 +4,9 @@ quickest to compile, and what one test process has compiled is kept for all of t
 resumed is the same program).
 """
 
+import gc
 import os
+from pathlib import Path
 from tempfile import TemporaryDirectory
 
 QUICK = (
@@ -17,7 +19,20 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # processes that this one sta
     os.environ["JAX_COMPILATION_CACHE_DIR"] = PROGRAMS.name
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 
-import jax
+import jax  # noqa: E402
+import pytest  # noqa: E402
 
 jax.config.update("jax_debug_key_reuse", True)
 jax.config.update("jax_num_cpu_devices", 2)
+MANY = 8_000
+"""Maps of memory, about 30 to 60 a program: with many more a process compiles ever more slowly."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_programs():
+    """Lets go of what is compiled, between two files, once there is much of it."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_text().count("\n") > MANY:
+        jax.clear_caches()
+        gc.collect()

@@ -11,6 +11,7 @@ from parts import DYNA, SMALL, hparams
 from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.experiments.engine import Experiment, Options, main, work
 from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report.tables import label
 from jaxdyna.experiments.study.arms import Hooks, standard_arms
 from jaxdyna.fields import changed, setting
 from jaxdyna.statistics import SolveRule
@@ -90,7 +91,7 @@ def assert_rows_are(sweep, rows):
     assert len(different) == len(rows)
     assert (out / "sweep.png").read_bytes().startswith(b"\x89PNG")
     text = (out / "report.md").read_text()
-    assert "(sweep.png)" in text and all(f"| {name} |" in text for name in rows)
+    assert "(sweep.png)" in text and all(f"| {label(name)} |" in text for name in rows)
 
 
 def test_hyper_parameters_are_swept_in_one_program(play):
@@ -147,7 +148,8 @@ def test_an_interrupted_sweep_is_reported_and_goes_on(play, tmp_path):
         patch.setattr(work.Engine, "play", stop)
         assert main(POLE, argv=argv, prog="pole") == 130
     text = (tmp_path / "report.md").read_text()
-    assert f"| dyna@{DREAMS}=1 |" in text and f"| dyna@{DREAMS}=3 |" not in text
+    rows = [f"| {label(f'dyna@{DREAMS}={value}')} |" in text for value in (1, 3)]
+    assert rows == [True, False]
     assert main(POLE, argv=[*argv, "--resume"], prog="pole") == 0
     ours, whole = np.load(tmp_path / "curves.npz"), play("--sweep", f"{DREAMS}=1,3")[1]
     assert ours.files == whole.files
