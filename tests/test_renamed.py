@@ -1,5 +1,6 @@
 """Recorded commands, and those in the texts, parse today, and to what was recorded."""
 
+import importlib
 import json
 import re
 import shlex
@@ -9,6 +10,7 @@ import pytest
 from renamed import respelled, respelled_settings
 
 from jaxdyna import fields
+from jaxdyna.experiments.engine.session import prepared
 
 ROOT = Path(__file__).parents[1]
 PROG = "python -m jaxdyna.experiments."
@@ -20,11 +22,8 @@ NO_EXPERIMENT = "merge"
 
 def parsed(module, arguments):
     """The settings that a command line comes to."""
-    session = pytest.importorskip("jaxdyna.experiments.engine.session")
-    package = pytest.importorskip(f"jaxdyna.experiments.{module}")
-    if not hasattr(package, "PARTS"):
-        pytest.skip(f"{module} has not moved in yet")
-    return session.prepared(package.PARTS, arguments, f"{PROG}{module}").options
+    parts = importlib.import_module(f"jaxdyna.experiments.{module}").PARTS
+    return prepared(parts, arguments, f"{PROG}{module}").options
 
 
 def commands(text):

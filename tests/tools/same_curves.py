@@ -25,7 +25,7 @@ import tiny  # noqa: E402
 from compared import Verdict, compare  # noqa: E402
 
 COMMANDS = tiny.NET | tiny.LONG
-FLAGS = "--xla_backend_optimization_level=0"
+FLAGS = (TOOLS.parent / "xla_flags").read_text().strip()
 """Of XLA, where the environment says nothing else: these compile more than they compute."""
 
 

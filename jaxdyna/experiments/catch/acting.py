@@ -111,11 +111,7 @@ def true_dream(game: Catch) -> Dream:
 
 def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Any, hparams: Any) -> Metrics:
     """The final greedy policy in new episodes: ``greedy_return``, a mean."""
-    acting = study.greedy(hparams.agent)
-
-    def act(obs: jax.Array, key: Any) -> jax.Array:
-        return dyna.agent.act(state.agent, obs, key, acting)
-
+    act = study.greedy_policy(dyna, state, hparams)
     played = rollout(dyna.env, act, key, hparams.env, JUDGED, num_steps=config.num_steps)
     return {"greedy_return": played.reward.sum(-1).mean()}
 

@@ -1,5 +1,6 @@
 """Frame models of small grids that are seen from above: a class a channel, lit or not."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -43,7 +44,7 @@ HEADS = {"joint": JointReward(), "local": LocalReward(), "none": None}
 
 
 @dataclass(frozen=True, kw_only=True)
-class GridOptions(FrameOptions):
+class GridOptions(FrameOptions, ABC):
     """Frame models of a grid; a subclass has its `world`.
 
     Attributes:
@@ -97,9 +98,9 @@ class GridOptions(FrameOptions):
         """The stages within ``episodes``, in order."""
         return sorted({stage for stage in self.stages if stage <= self.episodes})
 
+    @abstractmethod
     def world(self) -> tuple[FrameStack, Any]:
         """The environment, its frames stacked, and its params: what ends in ``_reward`` is one."""
-        raise NotImplementedError
 
 
 def experiment(

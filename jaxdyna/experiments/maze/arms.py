@@ -163,10 +163,7 @@ def judge(
     """
     params, steps = hparams.env, config.num_steps
     env: Any = dyna.env
-    greedy = study.greedy(hparams.agent)
-
-    def act(obs: jax.Array, key: Key) -> jax.Array:
-        return dyna.agent.act(state.agent, obs, key, greedy)
+    act = study.greedy_policy(dyna, state, hparams)
 
     def some(key: Key) -> Metrics:
         played = rollout(env, act, key, params, AT_ONCE, num_steps=steps)

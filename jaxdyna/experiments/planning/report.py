@@ -67,11 +67,11 @@ def table(rows: list[Results]) -> str:
         share, gain = (interval(row[f"{name}_ci95"], 3) for name in ("share", "gain"))
         lines.append([
             row["label"], f"{row['steps']:,}", f"{row['share']:.3f} ({share})",
-            "-" if row is rows[0] else f"{row['gain']:+.3f} ({gain})", f"{row['ms']:.3g}",
-            f"{row['ms'] / rows[0]['ms']:,.0f}", f"{row['ms_in_batch']:.3g}",
+            "-" if row is rows[0] else f"{row['gain']:+.3f} ({gain})",
+            f"{row['ms']:.3g} ({row['ms'] / rows[0]['ms']:,.0f})", f"{row['ms_in_batch']:.3g}",
         ])  # fmt: skip
-    header = ["who decides", "steps", "share (95% interval)", "gain (95% interval)", "ms",
-              "times the policy's", "ms in a batch"]  # fmt: skip
+    header = ["who decides", "steps", "share (95% interval)", "gain (95% interval)",
+              "ms (times the policy's)", "ms in a batch"]  # fmt: skip
     return markdown_table(header, lines)
 
 

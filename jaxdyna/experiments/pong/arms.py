@@ -87,7 +87,7 @@ def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: Any) ->
     ``game_score`` and ``game_ended`` ``[games]`` of whole ones.
     """
     key, key_games = jax.random.split(key)
-    env, act = dyna.env, _actor(dyna, state, hparams)
+    env, act = dyna.env, study.greedy_policy(dyna, state, hparams)
     played = rollout(env, act, key, hparams.env, GREEDY_EPISODES, num_steps=config.num_steps)
     kept = {"greedy_return": played.reward.sum(-1)}
     if isinstance(hparams.env, AtariParams):
@@ -98,14 +98,9 @@ def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: Any) ->
 
 def show(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: Any) -> Metrics:
     """``greedy``: the frames of one episode of it."""
-    act = _actor(dyna, state, hparams)
+    act = study.greedy_policy(dyna, state, hparams)
     played = rollout(dyna.env, act, key, hparams.env, 1, num_steps=config.num_steps)
     return {"greedy": played.next_obs[0, ..., -3:]}
-
-
-def _actor(dyna: Dyna, state: Any, hparams: Any) -> Any:
-    greedy = study.greedy(hparams.agent)
-    return lambda obs, key: dyna.agent.act(state.agent, obs, key, greedy)
 
 
 def scores(env: Environment, act: Any, key: Key, env_params: Any, games: int = GAMES) -> Any:

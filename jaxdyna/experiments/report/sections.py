@@ -19,7 +19,7 @@ COUNTED = (
     "The rule is the same for all arms and counts every real episode. An unsolved run is never "
     "dropped: it leaves the mean undefined, of which only a lower bound (≥) is then known."
 )
-QUANTILES = (5, 25, 50, 75, 95, 99)
+QUANTILES = (5, 50, 95, 99)
 NOT_SHOWN = ("preset", "quick", "arms", "seeds", "seed")
 
 
@@ -53,9 +53,17 @@ def solving(
 ) -> str:  # fmt: skip
     """The table of arms and the ratios between them; the paper's own figures beside."""
     counted, solves = runs(len(record.results["runs"]["seeds"])), str(rule(record.options))
+    header, lines = tables.solve_table(record.results)
+    header.append("real steps before: median")
+    for line, arm in zip(lines, record.results["arms"].values(), strict=True):
+        line.append(tables.number(arm["real_steps_to_solve"], "median"))
+    if set(paper) & set(record.results["arms"]):
+        header.insert(1, "paper")
+        for line, name in zip(lines, record.results["arms"], strict=True):
+            line.insert(1, f"{paper[name]:g}" if name in paper else "-")
     return paragraphs(
         f"{counted} of each arm. {solves.capitalize()}. {COUNTED} {said}".rstrip(),
-        markdown_table(*tables.solve_table(record.results, paper=paper)),
+        markdown_table(header, lines),
         *comparisons(record.results, ratio), swept(record),
     )  # fmt: skip
 

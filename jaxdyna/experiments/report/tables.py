@@ -1,7 +1,7 @@
 """Numbers in words, and tables of them for Markdown."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -50,32 +50,23 @@ def per_seed(summary: Summary, unsolved: float = np.inf) -> np.ndarray:
 
 
 def label(name: str) -> str:
-    """An entry's name with the last word of what was swept: ``dyna@learning_rate=0.01``."""
-    return re.sub(r"(?<=[@,])[\w.]+\.(\w+=)", r"\1", name)
-
-
-def solve_table(
-    results: Results, figure: str = "episodes_to_solve", paper: Mapping[str, float] | None = None
-) -> Table:
-    """A row an arm: ``episodes_to_solve`` or ``first_solved``, the paper's own figure beside ours,
-    and the real steps.
+    """An entry's name with the last word of what was swept: ``dyna@learning_rate=0.01``; whole
+    where two of these would be called the same.
     """
+    words = re.findall(r"(\w+)=", name)
+    alike = len(set(words)) < len(words)
+    return name if alike else re.sub(r"(?<=[@,])[\w.]+\.(\w+=)", r"\1", name)
+
+
+def solve_table(results: Results, figure: str = "episodes_to_solve") -> Table:
+    """A row an arm: ``episodes_to_solve`` or ``first_solved``."""
     said, budget = figure.replace("_", " "), results["config"]["episodes"]
-    table = [["arm", "paper", f"{said} (of {budget:,}): mean (95% interval)", "median", "solved",
-              "real steps before: median"]]  # fmt: skip
-    for name, arm in results["arms"].items():
-        solve, papers = arm[figure], (paper or {}).get(name)
-        table.append([
-            label(name), "-" if papers is None else f"{papers:g}", with_interval(solve),
-            number(solve, "median"), f"{solve['solved']}/{solve['seeds']}",
-            number(arm["real_steps_to_solve"], "median"),
-        ])  # fmt: skip
-    header, *rows = (
-        table
-        if set(paper or ()) & set(results["arms"])
-        else [[name, *rest] for name, _, *rest in table]
-    )
-    return header, rows
+    header = ["arm", f"{said} (of {budget:,}): mean (95% interval)", "median", "solved"]
+    return header, [
+        [label(name), with_interval(arm[figure]), number(arm[figure], "median"),
+         f"{arm[figure]['solved']}/{arm[figure]['seeds']}"]
+        for name, arm in results["arms"].items()
+    ]  # fmt: skip
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

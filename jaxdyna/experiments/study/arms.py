@@ -105,6 +105,11 @@ def greedy(hparams: Any) -> Any:
     return replace(hparams, epsilon_first=0.0, epsilon_last=0.0)
 
 
+def greedy_policy(dyna: Dyna, state: DynaState, hparams: DynaHParams) -> Callable[..., jax.Array]:
+    """``(obs, key) -> action`` of a run's DQN without exploration."""
+    return lambda obs, key: dyna.agent.act(state.agent, obs, key, greedy(hparams.agent))
+
+
 def busy(config: Any) -> Any:
     """A DQN's config that makes the updates after fake episodes after real ones as well."""
     return replace(config, updates=config.updates + config.fake_updates)
