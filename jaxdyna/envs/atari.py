@@ -35,8 +35,8 @@ _here = threading.local()
 class AtariParams:
     """What can be swept."""
 
-    max_steps: int | jax.Array = setting(27_000, "Steps until truncation.", at_least=1)
-    no_ops: int | jax.Array = setting(
+    max_steps: int = setting(27_000, "Steps until truncation.", at_least=1)
+    no_ops: int = setting(
         30,
         "An episode begins with 1 to so many frames of doing nothing (Mnih et al. 2015); 0 counts "
         "as 1.",

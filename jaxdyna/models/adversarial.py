@@ -23,16 +23,16 @@ from jaxdyna.types import Key
 class AdversarialHParams:
     """What can be swept: a model's settings, and the adversary's."""
 
-    learning_rate: float | jax.Array = setting(
+    learning_rate: float = setting(
         2e-4, "Learning rate of the model's optimiser.", at_least=0, everyday=True
     )
-    adversarial_weight: float | jax.Array = setting(
+    adversarial_weight: float = setting(
         1.0,
         "The paper's lambda: weight of the adversarial loss beside the summed loss of a frame's "
         "pixels. At 0 the model learns as it would alone.",
         at_least=0,
     )
-    discriminator_learning_rate: float | jax.Array = setting(
+    discriminator_learning_rate: float = setting(
         2e-4, "Learning rate of the discriminator's optimiser.", at_least=0
     )
 

@@ -21,20 +21,20 @@ class LearnedParams:
 
     model: Any = setting(help="What the model's predict takes: its weights.")
     start: Any = setting(None, "What the function that draws start states takes.")
-    termination_threshold: float | jax.Array = setting(
+    termination_threshold: float = setting(
         0.5,
         "Probability of the end above which a fake episode terminates (threshold_rule).",
         at_least=0,
         at_most=1,
     )
-    disagreement_threshold: float | jax.Array = setting(
+    disagreement_threshold: float = setting(
         math.inf,
         "How far the model may mistrust itself before a fake episode ends (threshold_rule, "
         "doubtful), in the units of jaxdyna.types.Prediction.disagreement.",
         at_least=0,
         infinite=True,
     )
-    max_steps: int | jax.Array = setting(200, "Steps until truncation.", at_least=1)
+    max_steps: int = setting(200, "Steps until truncation.", at_least=1)
 
 
 @struct.dataclass

@@ -23,7 +23,7 @@ from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 class PixelHParams:
     """What can be swept."""
 
-    learning_rate: float | jax.Array = setting(
+    learning_rate: float = setting(
         5e-3, "Learning rate of the model's optimiser.", at_least=0, everyday=True
     )
 

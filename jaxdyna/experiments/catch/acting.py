@@ -50,7 +50,7 @@ class CatchOptions(Options):
     dyna: DynaConfig = setting(
         factory=lambda: DynaConfig(
             num_episodes=LARGEST, num_steps=1, num_real_first=20, model_updates=20, model_batch=32,
-            dream_updates=1, dream_episodes=32, dream_steps=9,
+            dream_updates=1, dream_episodes=32, dream_steps=9, rare_share=0.5,
         )
     )  # fmt: skip
     agent: DQNConfig = setting(
@@ -58,8 +58,10 @@ class CatchOptions(Options):
     )
     hparams: DynaHParams = setting(
         factory=lambda: DynaHParams(
-            agent=DQNHParams(epsilon_hold=10.0, epsilon_episodes=40.0, discount=0.97),
-            model=PixelHParams(3e-3),
+            agent=DQNHParams(
+                epsilon_hold=10.0, epsilon_episodes=40.0, discount=0.97, target_rate=0.02
+            ),
+            model=PixelHParams(1e-2),
             env=CatchParams(),
         )
     )
@@ -78,7 +80,9 @@ class CatchOptions(Options):
 def parts(game: Catch, agent: DQNConfig, widths: tuple[int, ...]) -> Dyna:
     """The parts of ``dyna``: one object, and so one program, for the same settings."""
     env, shape = FrameStack(game), (game.rows, game.columns, 3)
-    config = PixelConfig(LocalDynamics(3, widths), reward=JointReward(), terminates=True)
+    config = PixelConfig(
+        LocalDynamics(3, widths), reward=JointReward(), reward_weight=5.0, terminates=True
+    )
     model = pixels(shape, game.num_actions, config)
     return frame_dyna(env, dqn(shape, game.num_actions, agent), model)
 

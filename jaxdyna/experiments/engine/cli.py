@@ -88,7 +88,19 @@ def parse(default: O, argv: Sequence[str], prog: str) -> O:
         if word.startswith("--") and (path := _path(word)) in kind.decided:
             flag = word.partition("=")[0]
             fail(f"{flag} is decided by {kind.decided[path]}: leave it out", prog)
-    return read(kind, argv, prog, default=default, config=(tyro.conf.SuppressFixed,))
+    named = {leaf.path for leaf in _shown(default) if callable(leaf.value)}  # tyro has no flag
+    rest, chosen, words = [], {}, iter(argv)
+    for word in words:
+        flag, _, value = word.partition("=")
+        if word.startswith("--") and _path(word) in named:
+            chosen[_path(word)] = value or next(words, "")
+        else:
+            rest.append(word)
+    try:
+        default = fields.restored(default, chosen)
+    except SettingError as error:
+        fail(f"{flag_of(error, argv)} {error.said}", prog)
+    return read(kind, rest, prog, default=default, config=(tyro.conf.SuppressFixed,))
 
 
 def swept(options: Any, said: Sequence[str]) -> dict[str, list[Any]]:
