@@ -1,6 +1,7 @@
 """The adversarial loss, patches, and frames in shades."""
 
 from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -35,38 +36,44 @@ ADVERSARY = discriminator(SHAPE)
 @pytest.fixture(scope="module")
 def batch():
     """A dot in one of two places, both of them marked in the stack: nothing tells which."""
-    place = jax.random.bernoulli(jax.random.key(0), shape=(64,))
-    frames = jnp.zeros((64, *SHAPE), jnp.uint8)
-    left, right = (frames.at[:, 3, column].set(200) for column in (2, 5))
-    after = jnp.where(place[:, None, None, None], left, right)
-    marks = jnp.zeros((8, 8, 12), jnp.uint8).at[3, 2, 9].set(255).at[3, 5, 10].set(255)
-    stack = jnp.broadcast_to(marks, (64, 8, 8, 12))
-    zeros, no = jnp.zeros(64), jnp.zeros(64, bool)
-    return Transition(
+    after = np.zeros((64, *SHAPE), np.uint8)
+    after[np.arange(64), 3, np.random.default_rng(0).choice([2, 5], 64)] = 200
+    marks = np.zeros((8, 8, 12), np.uint8)
+    marks[3, 2, 9] = marks[3, 5, 10] = 255
+    stack = np.broadcast_to(marks, (64, 8, 8, 12))
+    no = np.zeros(64, bool)
+    made = Transition(
         stack,
-        jnp.zeros(64, jnp.int32),
-        zeros,
-        jnp.concatenate([stack[..., 3:], after], -1),
+        np.zeros(64, np.int32),
+        np.zeros(64, np.float32),
+        np.concatenate([stack[..., 3:], after], -1),
         no,
         no,
         ~no,
     )
+    return jax.tree.map(jnp.asarray, made)
 
 
+@cache
 def make(*adversary, config=CONFIG):
     model = pixels(SHAPE, 2, config, 4, *adversary)
     return model._replace(init=jax.jit(model.init), update=jax.jit(model.update))
 
 
-def train(model, hparams, batch, steps):
+@cache
+def trainer(model, steps):
     @jax.jit
-    def run(key):
+    def run(key, hparams, batch):
         def step(state, _):
             return model.update(state, batch, jax.random.key(0), hparams)
 
         return jax.lax.scan(step, model.init(key, hparams), length=steps)
 
-    return run(jax.random.key(1))
+    return run
+
+
+def train(model, hparams, batch, steps):
+    return trainer(model, steps)(jax.random.key(1), hparams, batch)
 
 
 def test_patches_go_there_and_back():
@@ -149,7 +156,7 @@ def test_the_squared_error_blurs_and_the_adversary_minds(batch):
     order = np.argsort(batch.next_obs[:, 3, 2, 9])
     few = jax.tree.map(lambda leaf: leaf[np.r_[order[:8], order[-8:]]], batch)  # half in each
     for weight in (0.0, 10.0):
-        hparams = AdversarialHParams(5e-3, jnp.float32(weight), 5e-3)
+        hparams = AdversarialHParams(5e-3, weight, 5e-3)
         state, metrics = train(model, hparams, few, 300)
         frame = jax.jit(model.predict)(
             state.params, batch.obs[0], batch.action[0], jax.random.key(2)

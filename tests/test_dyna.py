@@ -1,6 +1,7 @@
 """The two-phase loop."""
 
 from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +13,21 @@ from jaxdyna import sweep
 from jaxdyna.dyna import DynaConfig, make_advance, make_init, make_train
 from jaxdyna.sweep import AXES
 
+WITHOUT_DREAMS = DYNA._replace(dream=None, diagnose=None)
+
+
+@cache
+def program(dyna, config):
+    return jax.jit(make_train(dyna, config))
+
 
 def train(dyna, config=SMALL, seed=0, **changes):
-    return jax.jit(make_train(dyna, config))(jax.random.key(seed), hparams(**changes))
+    return program(dyna, config)(jax.random.key(seed), hparams(**changes))
+
+
+@pytest.fixture(scope="module")
+def init():
+    return jax.jit(make_init(DYNA, SMALL))
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +63,8 @@ def test_masked_real_first_is_a_later_start_of_dreams():
     np.testing.assert_array_equal(late_metrics["real_return"], metrics["real_return"])
 
 
-def test_a_run_in_pieces_is_the_same_run(dyna_run):
-    init, advance = make_init(DYNA, SMALL), jax.jit(make_advance(DYNA, SMALL))
+def test_a_run_in_pieces_is_the_same_run(dyna_run, init):
+    advance = jax.jit(make_advance(DYNA, SMALL))
     state = init(jax.random.key(0), hparams())
     state, first = advance(state, jnp.arange(0, 3), hparams())
     state, second = advance(state, jnp.arange(3, 6), hparams())
@@ -59,37 +72,39 @@ def test_a_run_in_pieces_is_the_same_run(dyna_run):
     assert_same(jax.tree.map(lambda *parts: jnp.concatenate(parts), first, second), dyna_run[1])
 
 
-def test_a_placebo_computes_its_updates_and_discards_them():
+def test_a_placebo_computes_its_updates_and_discards_them(init):
     state, metrics = train(DYNA, model_trains=False)
-    untrained = make_init(DYNA, SMALL)(jax.random.key(0), hparams())
+    untrained = init(jax.random.key(0), hparams())
     assert_same(state.model, untrained.model)
     assert (metrics["model_loss"] > 0).all() and np.isfinite(metrics["fake_return"][1:]).all()
 
 
 def test_rest_when_safe():
-    """After an episode that lasts to its horizon nothing is learned, in blocks as elsewhere."""
+    """After an episode that lasts to its horizon nothing is learned: in blocks, which skip the
+    work, as alone, where it is discarded.
+    """
     config = DynaConfig(**{**vars(SMALL), "num_episodes": 12, "rest_when_safe": True})
     config = replace(config, num_steps=12)
     params = hparams(env=ENV.default_params.replace(max_steps=12), real_weight=0.0)
     keys = jax.random.split(jax.random.key(0), 5)
-    state, metrics = sweep(make_train(DYNA, config, AXES), keys, params)
+    state, metrics = sweep(make_train(DYNA, config, AXES), keys, params, block=2)
     full = metrics["real_length"] == 12
     rested = np.isnan(metrics["model_loss"])
     assert rested.any() and full[rested].all()  # a fall in the very last step is no rest
     np.testing.assert_array_equal(np.isnan(metrics["fake_return"])[..., 1:], rested[..., 1:])
     assert not np.isnan(metrics["model_loss"][~full]).any()
-    keys = jax.random.split(jax.random.key(0), 5)
-    blocks, _ = sweep(make_train(DYNA, config, AXES), keys, params, block=2)
-    assert_close(blocks.agent, state.agent, 1e-4)
-    alone, _ = jax.jit(make_train(DYNA, config))(jax.random.split(jax.random.key(0), 5)[4], params)
-    assert_close(jax.tree.map(lambda leaf: leaf[0, 4], state.agent), alone.agent, 1e-4)
+    for number, key in enumerate(jax.random.split(jax.random.key(0), 5)):
+        alone, _ = program(DYNA, config)(key, params)
+        assert_close(
+            jax.tree.map(lambda leaf, at=number: leaf[0, at], state.agent), alone.agent, 1e-4
+        )
 
 
 def test_rare_share_decides_what_the_model_sees():
     def update(state, batch, key, hparams):
         return state, {"loss": batch.terminated.mean()}
 
-    seeing = DYNA._replace(model=DYNA.model._replace(update=update))
+    seeing = WITHOUT_DREAMS._replace(model=DYNA.model._replace(update=update))
     as_they_come, half, only = (
         np.asarray(train(seeing, replace(SMALL, rare_share=share))[1]["model_loss"])
         for share in (None, 0.5, 1.0)
@@ -106,7 +121,9 @@ def test_real_weight_zero_leaves_learning_to_the_dreams():
     assert_same(state.agent, first_phase.agent)
 
 
+@pytest.mark.slow
 def test_jit_is_eager():
+    """Of the whole loop; of each of its parts `test_contract` says so."""
     few = {"num_episodes": 1, "num_real_first": 1, "num_steps": 2, "model_updates": 1}
     config = DynaConfig(**{**vars(SMALL), **few})
     compiled = train(DYNA, config)
@@ -123,14 +140,14 @@ def test_dreams_improve_the_policy_where_the_dream_is_true():
     )
     params = hparams().env.replace(max_steps=60)
     _, oracle = train(ORACLE, config, env=params)
-    _, free = train(MODEL_FREE, config, env=params)
+    _, free = train(ORACLE, config, env=params, fake_weight=0.0)
     assert oracle["real_return"][-10:].mean() > 1.3 * free["real_return"][-10:].mean()
     np.testing.assert_array_equal(oracle["real_return"][:2], free["real_return"][:2])
 
 
 def test_forgetting_empties_the_replay():
     config = DynaConfig(**{**vars(SMALL), "forget_every": 4})
-    state, metrics = train(DYNA, config)
+    state, metrics = train(WITHOUT_DREAMS, config)
     assert state.replay.added == metrics["real_length"][4:].sum()
 
 

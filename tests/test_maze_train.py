@@ -117,7 +117,6 @@ def test_solve_rule_by_hand():
         (["--hparams.agent.discount", "1.5"], "--hparams.agent.discount"),
         (["--agent.batch", "0"], "--agent.batch is 0"),
         (["--hparams.env.max-steps", "7"], "--steps"),
-        (["--mpc.discount", "1"], "--hparams.agent.discount"),
         (["--arms"], "--arms"),
         (["--steps", "30"], "30 steps away"),
         (["--episodes", "50"], "--dyna.num-real-first (N) is 100"),

@@ -70,7 +70,7 @@ def test_everybody_decides_by_what_each_run_has_learned():
     assert (returns[0] != other[0]).any() and (returns[1] != other[1]).any()
 
 
-FEW = ["--contenders", "policy", "MPC (learned world)", "--arms", "dyna", "model_free"]
+FEW = ["--arms", "dyna", "model_free"]
 
 
 def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_path, monkeypatch):
@@ -87,7 +87,9 @@ def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_
     monkeypatch.setattr(deciding, "measure", measured_again)
     assert play(*arguments, "--resume") == 0
     results = json.loads((tmp_path / "results.json").read_text())
-    assert [row["who"] for row in results["budgets"]] == ["policy", "MPC"]
+    assert [(row["who"], row["world"]) for row in results["budgets"]] == [
+        ("policy", "-"), ("MPC", "true"), ("MPC", "learned"), ("MCTS", "true"), ("MCTS", "learned")
+    ]  # fmt: skip
     assert set(results["arms"]) == {"dyna", "model_free"}
     text = (tmp_path / "report.md").read_text()
     assert "times the policy's" in text and "in the same episodes" in text
@@ -141,7 +143,6 @@ def test_the_oracle_plays_best_in_the_maze_and_values_are_asked_for():
 
     here = Ground("Maze", dyna.env, options.hparams.env, learned, 8, best, jax.random.key(1), 6, 2)
     contenders = {who.label: who for who in grounds.maze_contenders(dyna, options, sizes)}
-    assert set(contenders) <= set(deciding.CONTENDERS)
     played = ["policy", "MPC to the goal (true world)", "MCTS, learned values (learned world)"]
     share = {
         name: budgets.play(here, contenders[name].act).sum() / budgets.best_returns(here).sum()
@@ -185,8 +186,6 @@ def test_a_row_with_unsolved_runs_leaves_a_lower_bound():
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--contenders", "policy", "chess"], "must be one of policy, MPC (true world)"),
-        (["--contenders", "MPC (true world)"], "add it"),
         (["--grounds", "moon"], "must be one of cartpole, maze"),
         (["--sizes.played", "0", "1"], "at least 1"),
         (["--arms", "nobody"], "there is no arm nobody"),

@@ -12,22 +12,22 @@ import tiny
 from renamed import respelled
 
 from jaxdyna import frame_replay
-from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette, Pong, PongParams
+from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette, Pong
 from jaxdyna.envs.pong_rules import advance
 from jaxdyna.envs.pong_screen import mixture_of, picture_of, shares_of
 from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.pong import PARTS, frames
 from jaxdyna.experiments.pong.arms import arms, points
-from jaxdyna.experiments.pong.data import Player, choose, collect, play, screens, states, take
+from jaxdyna.experiments.pong.data import choose, collect, play, screens, states, take
 from jaxdyna.experiments.pong.guided import Guided, GuidedParams, read_state
 from jaxdyna.experiments.pong.options import TUNED
 from jaxdyna.experiments.pong.world import (
     OBJECTS,
+    RULES,
     game_of,
     in_channels,
     in_colours,
     middles,
-    params_of,
 )
 from jaxdyna.experiments.report.sections import equal_episodes
 from jaxdyna.experiments.report.summaries import comparisons
@@ -37,7 +37,7 @@ from jaxdyna.statistics import summarise
 from jaxdyna.types import DynamicsModel, Prediction, Transition
 
 OPTIONS = frames.PongFrames(steps=60, horizon=10)
-GAME, PARAMS = game_of(OPTIONS), params_of(OPTIONS, PongParams())
+GAME, PARAMS = game_of(OPTIONS), RULES.replace(max_steps=OPTIONS.steps)
 SOURCE = states(GAME, PARAMS)
 
 
@@ -56,16 +56,16 @@ def played():
 
 def test_players_follow_the_ball():
     keys = jax.random.split(jax.random.key(0), 64)
-    certain = Player(jnp.float32(1), jnp.float32(0))
-    act = jax.jit(jax.vmap(choose, (None, None, None, None, 0)))
+    act = jax.jit(jax.vmap(choose, (None, None, None, None, None, 0)))
 
-    def chosen(player, ball, seen):
-        return set(np.asarray(act(player, ball, 80.0, seen, jax.random.clone(keys))).tolist())
+    def chosen(skill, ball, seen):
+        actions = act(skill, 0.0, ball, 80.0, seen, jax.random.clone(keys))
+        return set(np.asarray(actions).tolist())
 
     for ball, allowed in ((120.0, {3, 5}), (20.0, {2, 4}), (79.0, {0, 1})):
-        assert chosen(certain, ball, True) == allowed
-    assert chosen(certain, 0.0, False) == {0, 1}
-    assert chosen(Player(jnp.float32(0), jnp.float32(0)), 0.0, True) == set(range(6))
+        assert chosen(1.0, ball, True) == allowed
+    assert chosen(1.0, 0.0, False) == {0, 1}
+    assert chosen(0.0, 0.0, True) == set(range(6))
 
 
 def test_kept_episodes_look_as_the_stacked_game_does(played):
@@ -164,10 +164,9 @@ def test_only_the_chosen_object_is_the_truth(played):
 
 def test_objects_are_told_by_their_colours(played):
     """Exactly on the game's frames; of a pale one there is less."""
-    coloured = states(Pong(4, 4, Palette()), PARAMS)
     world = jax.tree.map(lambda leaf: leaf[:, 5::9], played.world)
-    frame = jax.vmap(jax.vmap(coloured.frame))(world)
-    masks = jax.vmap(jax.vmap(SOURCE.frame))(world) > 127
+    frame = jax.vmap(jax.vmap(Pong(4, 4, Palette()).frame))(world)
+    masks = jax.vmap(jax.vmap(SOURCE.objects))(world)
     np.testing.assert_array_equal(shares_of(frame, Palette()), masks)
     np.testing.assert_array_equal(picture_of(masks, Palette()), frame)
     pale = mixture_of(masks / 3, Palette())
@@ -240,9 +239,8 @@ def test_the_real_game_is_collected():
     pytest.importorskip("ale_py")
     source = screens(AtariPong(4, 4), 20)
     real = collect(source, 20, 2, True, jax.random.key(0))
-    assert not real.over.any()
     assert real.world.shape == (2, 21, 40, 40) and real.action.shape == (2, 20)
-    seen = np.asarray(source.frame(jnp.array(real.world)))
+    seen = np.asarray(picture_of(source.objects(jnp.array(real.world)), source.palette))
     assert set(np.unique(seen)) == {0, 255}
     np.testing.assert_array_equal(source.keep(jnp.array(seen), None), real.world)
     sizes = seen[:, -1].any((1, 2))
@@ -346,20 +344,18 @@ def test_frame_prediction_leaves_tables_and_figures(tmp_path):
     ("arguments", "words"),
     [
         (["--game", "ale", "--arms", "true_ball"], "--game jax"),
-        (["--frame-skip", "8", "--arms", "oracle"], "--frame-skip 4"),
+        (["--game", "ale", "--arms", "oracle"], "--frames objects"),
         (["--arms"], "--arms"),
         (["--steps", "0"], "--steps"),
-        (["--frames", "rgb"], "--look convolutions"),
-        (["--frames", "rgb", "--look", "convolutions", "--arms", "true_own"], "--arms true_own"),
+        (["--frames", "rgb", "--arms", "true_own"], "--arms true_own"),
         (["--hparams.env.max-steps", "9"], "--steps"),
         (["--hparams.env.opponent-rest", "0"], "--hparams.env.opponent-rest"),
         (["--game", "ale", "--hparams.env.opponent-speed", "1"], "--game jax"),
-        (["--game", "ale", "--serve-delay", "9"], "--serve-delay"),
+        (["--game", "ale", "--hparams.env.serve-delay", "9"], "--game jax"),
         (["--dropout", "1"], "--dropout"),
         (["--part", "frames", "--dropout", "-0.1"], "--dropout"),
-        (["--glimpse", "4"], "odd"),
-        (["--scale", "3"], "divisor of 160"),
-        (["--part", "frames", "--patch", "20"], "--patch 20"),
+        (["--scale", "3"], "--scale"),
+        (["--part", "frames", "--steps", "701"], "between 1 and 700"),
         (["--part", "frames", "--horizon", "195"], "--horizon"),
         (["--part", "frames", "--policies"], "--policies"),
     ],

@@ -27,9 +27,6 @@ MAZE = [
     "--dream-episodes", "2", "--dream-steps", "3", "--agent.updates", "1",
     "--agent.fake-updates", "1", "--agent.batch", "4",
 ]  # fmt: skip
-MAZE_PLANNED = [
-    "--shown-episodes", "2", "--cloning.updates", "2", "--mpc.candidates", "2", "--mpc.horizon", "2"
-]  # fmt: skip
 MAZE_MODEL = [
     "--part", "model", "--quick", "--seeds", "2", "--episodes", "6", "--stages", "2", "6",
     "--ablation-stage", "6", "--steps", "30", "--horizon", "10", "--held-out", "2",
@@ -69,7 +66,7 @@ FIG4 = ["--model", "paper", "--size", "11", "--steps", "21", "--episodes", "32"]
 SMOKE = {
     "cartpole-paper": ["cartpole", *CARTPOLE, "--arms", "model_free", "dyna"],
     "cartpole-lean": ["cartpole", "--preset", "lean", *CARTPOLE, "--arms", "model_free", "dyna"],
-    "maze": ["maze", *MAZE, *MAZE_PLANNED, "--arms", "placebo", "mpc_init"],
+    "maze": ["maze", *MAZE, "--arms", "placebo"],
     "planning": ["planning", *PLANNING, "--arms", "mpc", "mpc_init"],
     "pong-model": ["pong", *PONG_MODEL, *ON_THE_ATARI, "--arms", "adversarial", "ours"],
     "pong": ["pong", *PONG, "--arms", "dyna_adversarial"],
@@ -99,9 +96,6 @@ NET = SMOKE | {
         "--forget-every", "7", "--terminal-share", "0.5", "--no-rest-when-safe", "--arms", "dyna",
     ],
     "maze-arms": ["maze", *MAZE, "--arms", "model_free", "dyna", "oracle", "more_updates"],
-    "maze-planners": [
-        "maze", *MAZE, *MAZE_PLANNED, "--mcts.simulations", "2", "--arms", "mpc", "mcts",
-    ],
     "maze-lean": ["maze", "--preset", "lean", *MAZE, "--arms", "model_free", "dyna", "placebo"],
     "maze-levers": ["maze_levers", *MAZE_LEVERS, "--arms", "model-free", "model: L2 loss"],
     "maze-fig4": ["maze", *MAZE, *FIG4, "--model-loss", "l1", "--arms", "dyna"],
@@ -119,12 +113,11 @@ NET = SMOKE | {
         "pong", "--preset", "lean", *PONG, "--seeds", "2", "--episodes", "40",
         "--stop-after-solved", "0", "--arms", "dyna",
     ],
-    "pong-rgb": ["pong", *PONG, "--frames", "rgb", "--look", "convolutions", "--arms", "dyna_l2"],
+    "pong-rgb": ["pong", *PONG, "--frames", "rgb", "--arms", "dyna_l2"],
     "pong-model-pure": ["pong", *PONG_MODEL, "--arms", "l2", "l1", "bce", "adversarial", "ours"],
     "planning-arms": [
-        "planning", *PLANNING, "--contenders", "policy", "--sizes.runs", "1", "1",
-        "--episodes", "8", "--arms", "dyna", "mpc_init_dyna", "mpc_clone, 5 model updates",
-        "mcts", "dyna, 20 model updates", "model_free",
+        "planning", *PLANNING, "--sizes.runs", "1", "1", "--episodes", "8", "--arms", "dyna",
+        "mpc_init_dyna", "mpc_clone, 20 model updates", "dyna, 20 model updates", "model_free",
     ],
     "planning-maze": [
         "planning", *PLANNING, "--grounds", "maze", "--sizes.maze-episodes", "16", "--sizes.board",

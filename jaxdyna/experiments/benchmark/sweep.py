@@ -1,13 +1,12 @@
 """Seconds of CartPole's ``dyna`` arm against the number of runs, compiling apart from running."""
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 
 from jaxdyna.experiments.cartpole import CARTPOLE
-from jaxdyna.experiments.engine import Engine, Experiment, Options, Record, Results, Table, runs_of
+from jaxdyna.experiments.engine import Engine, Experiment, Options, Record, Results, runs_of
 from jaxdyna.experiments.report import plots, sections
 from jaxdyna.experiments.report.tables import markdown_table
 from jaxdyna.fields import changed, setting
@@ -21,15 +20,13 @@ class SweepOptions(Options):
         ("arms", "seeds", "stop_after_solved", "block"), "what is measured"
     )
 
-    preset: str = setting("lean", "whose settings are used")
-    setup: Literal["tuned", "lean"] = setting("lean", "CartPole's preset", everyday=True)
     sizes: tuple[int, ...] = setting((10, 100, 1000), "numbers of runs", at_least=1, everyday=True)
     episodes: int = setting(150, "real episodes of each run", at_least=1, everyday=True)
 
 
 def measure(options: SweepOptions, say: Any) -> list[Results]:
     """A row a number of runs; every run plays all its episodes."""
-    setup = changed(CARTPOLE.presets[options.setup], {"episodes": options.episodes}).resolved()
+    setup = changed(CARTPOLE.presets[options.preset], {"episodes": options.episodes}).resolved()
     arm = CARTPOLE.arms(setup)["dyna"]()
     rows = []
     for count in options.sizes:
@@ -39,52 +36,34 @@ def measure(options: SweepOptions, say: Any) -> list[Results]:
     return rows
 
 
-def table(results: Results) -> Table:
-    """A row a sweep."""
-    return ["runs", "compiling (s)", "running (s)", "seconds a run, compiling included"], [
-        [f"{runs:,.0f}", f"{compiling:.1f}", f"{running:.1f}",
-         f"{(compiling + running) / runs:.2f}"]
-        for runs, compiling, running in _columns(results).T
-    ]  # fmt: skip
-
-
-def _columns(results: Results) -> np.ndarray:
-    columns = "runs", "compile_s", "run_s"
-    return np.array([[row[column] for row in results["sweeps"]] for column in columns])
-
-
-def figure(path: Path, results: Results) -> None:
-    """Seconds of a whole sweep, and seconds a run, against the number of runs; drawn as a PNG."""
-    runs, compiling, running = _columns(results)
+def section(record: Record) -> str:
+    """The table, and seconds of a whole sweep and seconds a run in ``seconds.png``."""
+    columns, sweeps = ("runs", "compile_s", "run_s"), record.results["sweeps"]
+    numbers = np.array([[row[column] for row in sweeps] for column in columns])
+    runs, compiling, running = numbers[:, None]
     whole = compiling + running
     panels = {
         "seconds a sweep": {"in all": whole, "compiling": compiling},
         "seconds a run": {"in all": whole / runs, "without compiling": running / runs},
     }
-    drawn, axes = plots.subplots(1, 2, figsize=(8.5, 3.6), sharex=True)
-    for panel, (axis, lines) in zip(axes, panels.items(), strict=True):
-        for (name, seconds), style in zip(lines.items(), ("o-", "o:"), strict=True):
-            panel.loglog(runs, seconds, style, color=plots.COLOURS["dyna"], label=name)
-        panel.grid(alpha=0.3)
-        plots.finish(panel, x="runs", y=axis)
-    plots.save(drawn, path)
-
-
-def section(record: Record) -> str:
-    """The table and the figure."""
-    figure(record.out / "seconds.png", record.results)
+    plots.bands(record.out / "seconds.png", panels, "runs", at=runs[0], xscale="log", yscale="log")
+    lines = [
+        [f"{count:,.0f}", f"{before:.1f}", f"{after:.1f}", f"{(before + after) / count:.2f}"]
+        for count, before, after in numbers.T
+    ]
+    header = ["runs", "compiling (s)", "running (s)", "seconds a run, compiling included"]
     device, options = record.results["device"], record.options
     return sections.paragraphs(
-        f"CartPole, `{options.setup}` preset, `dyna` arm, {options.episodes} real episodes a run, "
+        f"CartPole, `{options.preset}` preset, `dyna` arm, {options.episodes} real episodes a run, "
         f"compiled anew for each row, on {device['cpu_cores']} cores ({device['platform']}).",
-        markdown_table(*table(record.results)), "![seconds against runs](seconds.png)",
+        markdown_table(header, lines), "![seconds against runs](seconds.png)",
     )  # fmt: skip
 
 
 SWEEP = Experiment(
     name="sweep",
     title="What a sweep costs",
-    presets={"lean": SweepOptions()},
+    presets={name: SweepOptions(preset=name) for name in ("lean", "tuned")},
     arms=lambda options: {},
     measures={"sweeps": measure},
     sections=(section,),

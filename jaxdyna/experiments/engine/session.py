@@ -46,6 +46,7 @@ from jaxdyna.experiments.engine.work import (
     runs_of,
 )
 from jaxdyna.experiments.report.summaries import compare, describe_arm
+from jaxdyna.experiments.report.tables import paragraphs
 from jaxdyna.fields import SettingError
 from jaxdyna.statistics import episodes_to_solve
 
@@ -412,8 +413,7 @@ def recorded(results: Results) -> tuple[Experiment, Any, dict[str, list[Any]]]:
 def write_report(experiment: Experiment, record: Record) -> str:
     """Writes ``report.md`` and its figures into the record's folder; returns the text."""
     head = [f"# {experiment.title}", f"`{record.results['command']}`"]
-    parts = [*head, *(section(record) for section in experiment.sections)]
-    text = "\n\n".join(part.strip("\n") for part in parts if part) + "\n"
+    text = paragraphs(*head, *(section(record) for section in experiment.sections)) + "\n"
     storage.write_text(record.out / "report.md", text)
     return text
 

@@ -40,7 +40,6 @@ SAID = {
 """What the models are."""
 TRAINED = {arm: arm.partition("_")[0] for arm in SAID}
 """As which of them they are trained: ``paper`` or ``lean``."""
-HEADS = {"joint": JointReward(), "local": LocalReward(), "none": None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +47,12 @@ class GridOptions(FrameOptions, ABC):
     """Frame models of a grid; a subclass has its `world`.
 
     Attributes:
-        own_head: the reward head of our models.
+        own_head: the reward head of our models: joint, off the features of stack and action; local,
+            a sum over cells of the predicted frame.
         channels: see `World`.
     """
 
-    own_head: ClassVar[str] = "local"
+    own_head: ClassVar[Literal["joint", "local"]] = "local"
     channels: ClassVar[tuple[int, ...]] = (0, 1, 2)
 
     arms: tuple[str, ...] = setting(("paper", "lean"), "the models that are trained", everyday=True)
@@ -72,10 +72,6 @@ class GridOptions(FrameOptions, ABC):
     dense: int = setting(1024, "width of the paper's dense layer", at_least=1)
     lean_widths: tuple[int, ...] = setting((32, 32, 32), "channels of our 3x3 convolutions",
                                            at_least=1)  # fmt: skip
-    reward: Literal["own", "joint", "local", "none"] = setting(
-        "own", "reward head: joint, off the features of stack and action; local, a sum over cells "
-        "of the predicted frame; own: none for the paper's models but paper_reward, whose is joint",
-    )  # fmt: skip
     paper: Training = setting(factory=lambda: Training(8000, 40, 32, 3e-3, 0.4, None),
                               help="of the paper's model")  # fmt: skip
     lean: Training = setting(factory=Training, help="of ours")
@@ -153,13 +149,13 @@ def config_of(options: GridOptions, arm: str) -> PixelConfig:
     """
     papers, training = TRAINED[arm] == "paper", getattr(options, TRAINED[arm])
     loss = {"l1": l1, "l2": l2}.get(arm.partition("_")[2], bce)
-    own = "joint" if arm == "paper_reward" else ("none" if papers else options.own_head)
     network: Any = LocalDynamics(3, options.lean_widths)
+    head: Any = JointReward() if options.own_head == "joint" else LocalReward()
     if papers:
         network = EncoderDecoder(3, options.widths, options.kernels, options.dense)
+        head = JointReward() if arm == "paper_reward" else None
     return PixelConfig(
-        network, loss, 0.2 if papers and loss is bce else 0.5,
-        HEADS[own if options.reward == "own" else options.reward], training.reward_weight,
+        network, loss, 0.2 if papers and loss is bce else 0.5, head, training.reward_weight,
         optimizer=decayed_adam(training.weight_decay),
     )  # fmt: skip
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxdyna.experiments.engine import Record
+from jaxdyna.experiments.engine import Record, Results
 from jaxdyna.experiments.frames.judging import THRESHOLDS
-from jaxdyna.experiments.frames.scores import SCORES, Scored, f1, used_threshold
+from jaxdyna.experiments.frames.scores import SCORES, f1, scored, used_threshold
 from jaxdyna.experiments.report import frames as pictures
 from jaxdyna.experiments.report import plots, sections
 from jaxdyna.experiments.report.sections import grouped, paragraphs
@@ -18,10 +18,12 @@ from jaxdyna.experiments.report.tables import Table, markdown_table, per_seed, w
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameReport(Scored):
+class FrameReport:
     """The report's sections, each a method; a world leaves out or adds some.
 
     Attributes:
+        classes: see `scored`.
+        kinds: likewise.
         about: ``(record) -> Markdown``: what was done.
         said: what each model is.
         stage: what an arm's stage is, over a column.
@@ -35,7 +37,9 @@ class FrameReport(Scored):
             one on black, the older frames fainter.
     """
 
+    classes: tuple[str, ...]
     about: Callable[[Record], str]
+    kinds: tuple[str, ...] = ()
     said: Mapping[str, str] = field(default_factory=dict)
     stage: str = "episodes"
     scores: Sequence[str] = ("f1",)
@@ -45,6 +49,10 @@ class FrameReport(Scored):
     filmed: Sequence[str] = ()
     rules: Mapping[str, str] = field(default_factory=lambda: {"lit": "threshold"})
     seen: Callable[[Any, np.ndarray], np.ndarray] = lambda _, stack: pictures.trail(stack / 255)
+
+    def describe(self, options: Any, curves: Curves) -> Results:
+        """An arm's entries."""
+        return scored(self.classes, self.kinds, curves)
 
     @property
     def sections(self) -> tuple[sections.Section, ...]:

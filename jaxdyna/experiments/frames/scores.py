@@ -1,8 +1,6 @@
 """Scores of frame models, out of what was counted of each run."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -33,64 +31,51 @@ SCORES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scored:
-    """What is told apart.
+def scored(classes: Sequence[str], kinds: Sequence[str], curves: Curves) -> Results:
+    """An arm's entries: by class `SCORES` at the threshold that the model uses, what is believed of
+    lit pixels and spilled on others; by kind the rewards that are right; by rule and dreamed steps
+    the scores of dreams.
 
-    Attributes:
-        classes: their names, in the order of `World.channels`.
+    Args:
+        classes: names of what is told apart, in the order of `World.channels`.
         kinds: names of the kinds of rewards that `jaxdyna.experiments.frames.judging.judge` tells
             apart, the first so many.
+        curves: what was judged, ``[runs, ...]``.
     """
+    used = curves["one_step"][:, used_threshold(curves)]
+    mass = curves["mass"] / np.maximum(used[..., 2:], 1)
+    right = {}
+    for number, kind in enumerate(kinds if "reward" in curves else ()):
+        counts = curves["reward"][:, number]
+        said = dict(zip(("right", "steps"), counts.sum(0).tolist(), strict=True))
+        right[kind] = mean_of_runs(precision(counts)) | said
+    return _scores(classes, used) | {
+        "believed": by_class(classes, mass[..., 0]),
+        "spilled": by_class(classes, mass[..., 1]),
+        "reward_right": right,
+        "dreams": {
+            name.removeprefix("dream_"): _dreams(classes, curves, name)
+            for name in curves
+            if name.startswith("dream_")
+        },
+    }
 
-    classes: tuple[str, ...]
-    kinds: tuple[str, ...] = ()
 
-    def describe(self, options: Any, curves: Curves) -> Results:
-        """An arm's entries: by class `SCORES` at the threshold that the model uses, F1 at all of
-        them, what is believed of lit pixels and spilled on others; by kind the rewards that are
-        right; by rule and dreamed steps the scores of dreams.
-        """
-        judged = curves["one_step"]
-        used = judged[:, used_threshold(curves)]
-        mass = curves["mass"] / np.maximum(used[..., 2:], 1)
-        means = f1(judged).mean(0).tolist()
-        said = self._scores(used) | {
-            "f1_by_threshold": {
-                f"{threshold:g}": dict(zip(self.classes, row, strict=True))
-                for threshold, row in zip(THRESHOLDS, means, strict=True)
-            },
-            "believed": by_class(self.classes, mass[..., 0]),
-            "spilled": by_class(self.classes, mass[..., 1]),
-            "reward_right": {},
-            "dreams": {
-                name.removeprefix("dream_"): self._dreams(curves, name)
-                for name in curves
-                if name.startswith("dream_")
-            },
-        }
-        for number, kind in enumerate(self.kinds if "reward" in curves else ()):
-            counts = curves["reward"][:, number]
-            right, steps = counts.sum(0).tolist()
-            said["reward_right"][kind] = mean_of_runs(precision(counts)) | {
-                "right": right, "steps": steps,
-            }  # fmt: skip
-        return said
+def _scores(classes: Sequence[str], counts: np.ndarray) -> Results:
+    return {name: by_class(classes, score(counts)) for name, score in SCORES.items()}
 
-    def _scores(self, counts: np.ndarray) -> Results:
-        return {name: by_class(self.classes, score(counts)) for name, score in SCORES.items()}
 
-    def _dreams(self, curves: Curves, name: str) -> Results:
-        """Scores by dreamed steps, and of how many dreams where these are counted apart."""
-        said: Results = {}
-        for step in (step for step in HORIZONS if step <= curves[name].shape[1]):
-            counts = curves[name][:, step - 1]
-            wrong = counts[..., 1] + counts[..., 2] - 2 * counts[..., 0]
-            share = (wrong / curves["pixels"][:, None]).mean(-1)
-            said[str(step)] = self._scores(counts) | {"wrong": mean_of_runs(share)}
-            if name.endswith("_apart"):
-                said[str(step)]["dreams"] = int(curves["steps_apart"][:, step - 1].sum())
-        return said
+def _dreams(classes: Sequence[str], curves: Curves, name: str) -> Results:
+    """Scores by dreamed steps, and of how many dreams where these are counted apart."""
+    said: Results = {}
+    for step in (step for step in HORIZONS if step <= curves[name].shape[1]):
+        counts = curves[name][:, step - 1]
+        wrong = counts[..., 1] + counts[..., 2] - 2 * counts[..., 0]
+        share = (wrong / curves["pixels"][:, None]).mean(-1)
+        said[str(step)] = _scores(classes, counts) | {"wrong": mean_of_runs(share)}
+        if name.endswith("_apart"):
+            said[str(step)]["dreams"] = int(curves["steps_apart"][:, step - 1].sum())
+    return said
 
 
 def used_threshold(curves: Curves) -> int:

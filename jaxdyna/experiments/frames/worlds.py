@@ -11,8 +11,6 @@ from jaxdyna.experiments.engine import Runs
 from jaxdyna.models.evaluation import Predict
 from jaxdyna.types import Key, Transition
 
-Frames = jax.Array
-
 
 @struct.dataclass
 class Stage:
@@ -67,7 +65,7 @@ class World(NamedTuple):
     horizon: int
     channels: tuple[int, ...]
     example: Callable[[Any], tuple[Any, Any]]
-    shares: Callable[[Frames], jax.Array] = lambda frames: frames.astype(jnp.float32) / 255
+    shares: Callable[[jax.Array], jax.Array] = lambda frames: frames.astype(jnp.float32) / 255
     faint: float = 0.0
     tolerance: float = 0.5
     apart: Callable[[jax.Array], jax.Array] | None = None

@@ -2,6 +2,7 @@
 its report.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -10,12 +11,13 @@ import numpy as np
 
 from jaxdyna.envs import Maze, MazeParams, MazeState
 from jaxdyna.experiments.engine import Experiment
-from jaxdyna.experiments.maze.arms import SAID, STARTS, arms
+from jaxdyna.experiments.maze.arms import STARTS, arms
 from jaxdyna.experiments.maze.options import LEAN, QUICK, TUNED, MazeOptions
 from jaxdyna.experiments.report import frames
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import last_mean, mean_of_runs
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
+from jaxdyna.experiments.study.arms import SAID
 from jaxdyna.statistics import SolveRule, episodes_to_solve
 
 RULE = SolveRule(50, 0.95, "oracle_return")
@@ -26,8 +28,6 @@ WRONG = {
     "wrong_frames": "share of new frames predicted wrong",
     "wrong_rewards": "share of new rewards predicted wrong",
 }
-TRAINED = ("dyna", "mpc", "mcts", "mpc_init")
-"""Arms with a model that learns."""
 FILMED = (1, 50, 100, 200)
 FILM_STEPS = 100
 SMOOTHED = 10
@@ -110,19 +110,14 @@ def replay(
     directions ``[n]`` at the start and its actions ``[T]``: nothing else in the Maze is random.
     """
 
-    def play(obstacles: jax.Array, directions: jax.Array, actions: jax.Array) -> jax.Array:
-        agent, goal = jnp.array(maze.start_cell), jnp.array(maze.goal_cell)
-        start = MazeState(agent, goal, obstacles, directions, jnp.int32(0))
+    def step(state: MazeState, action: jax.Array) -> tuple[MazeState, jax.Array]:
+        frame, after, *_ = maze.step(jax.random.key(0), state, action, MazeParams())
+        return after, frame
 
-        def step(state: MazeState, action: jax.Array) -> tuple[MazeState, jax.Array]:
-            state = maze.step(jax.random.key(0), state, action, MazeParams())[1]
-            return state, maze.frame(state)
-
-        frames = jax.lax.scan(step, start, actions)[1]
-        return jnp.concatenate([maze.frame(start)[None], frames])
-
-    as_int = (jnp.asarray(part, jnp.int32) for part in (obstacles, directions, actions))
-    return np.asarray(jax.jit(play)(*as_int))
+    cells = maze.start_cell, maze.goal_cell, obstacles, directions, 0
+    start = MazeState(*(jnp.asarray(part, jnp.int32) for part in cells))
+    frames = jax.jit(partial(jax.lax.scan, step))(start, jnp.asarray(actions, jnp.int32))[1]
+    return np.concatenate([maze.frame(start)[None], frames])
 
 
 def final(record: Any) -> str:
@@ -167,7 +162,7 @@ MAZE = Experiment(
         report.behaviour(
             WRONG, SMOOTHED, "model.png", "A frame is predicted wrong where any pixel is, one step "
             "ahead, and a reward by half a point; each real episode is judged before the model "
-            "learns from it. An untrained model, which is always wrong, is not drawn.", TRAINED,
+            "learns from it. An untrained model, which is always wrong, is not drawn.", ("dyna",),
         ),
         model_errors, films, final, report.arms_said(SAID), report.settings,
         lambda record: DIFFERENT, report.spent,

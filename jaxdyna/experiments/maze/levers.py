@@ -34,6 +34,21 @@ WORSE: dict[str, Overrides] = {
     "model: 3 updates an episode": {"dyna.model_updates": 3},
 }
 """What changes the model alone."""
+LEARNING: dict[str, Overrides] = {
+    "N = 5": {"dyna.num_real_first": 5},
+    "N = 30": {"dyna.num_real_first": 30},
+    "dreams of 1 step(s), as many steps": {"dyna.dream_steps": 1, "dyna.dream_episodes": 2000},
+    "dreams of 20 step(s), as many steps": {"dyna.dream_steps": 20, "dyna.dream_episodes": 100},
+    "100 dreams an episode, not 400": {"dyna.dream_episodes": 100, "agent.fake_capacity": 16000},
+    "1600 dreams an episode, not 400": {"dyna.dream_episodes": 1600, "agent.fake_capacity": 256000},
+    "25% of a batch dreamed": {"hparams.agent.fake_share": 0.25},
+    "90% of a batch dreamed": {"hparams.agent.fake_share": 0.9},
+    "100 updates on dreams to 100 on real steps": {"agent.fake_updates": 100},
+    "800 updates on dreams to 100 on real steps": {"agent.fake_updates": 800},
+    "dreams broken off where half a pixel is in doubt": {"hparams.disagreement_threshold": 0.5},
+    "dreams of the newest 2 real episodes only": {"agent.fake_capacity": 4000},
+}
+"""What changes how dreams are used and what the agent does with them, with the same model."""
 CONTROLS: dict[str, Overrides] = {
     "untrained model (placebo)": {"arm": "placebo"},
     "true environment as the model": {"arm": "oracle"},
@@ -43,33 +58,11 @@ CONTROLS: dict[str, Overrides] = {
 
 
 def levers(options: MazeOptions) -> dict[str, Overrides]:
-    """Every row; how dreams are used and what the agent does with them, with the same model, are
-    `OTHER` ones.
-    """
-    dreams, length = options.dyna.dream_episodes, options.dyna.dream_steps or options.steps
-    kept, some = options.agent.fake_capacity, 10 * options.steps
-
-    def as_long(steps: int) -> Overrides:
-        return {"dyna.dream_steps": steps, "dyna.dream_episodes": dreams * length // steps}
-
-    def as_many(count: int) -> Overrides:
-        return {"dyna.dream_episodes": count, "agent.fake_capacity": kept * count // dreams}
-
-    other = {
-        "N = 5": {"dyna.num_real_first": 5},
-        "N = 30": {"dyna.num_real_first": 30},
-        "dreams of 1 step(s), as many steps": as_long(1),
-        "dreams of 20 step(s), as many steps": as_long(20),
-        "100 dreams an episode, not 400": as_many(100),
-        "1600 dreams an episode, not 400": as_many(1600),
-        "25% of a batch dreamed": {"hparams.agent.fake_share": 0.25},
-        "90% of a batch dreamed": {"hparams.agent.fake_share": 0.9},
-        "100 updates on dreams to 100 on real steps": {"agent.fake_updates": 100},
-        "800 updates on dreams to 100 on real steps": {"agent.fake_updates": 800},
-        "dreams broken off where half a pixel is in doubt": {"hparams.disagreement_threshold": 0.5},
-        "the agent learns from the newest 10 real episodes only": {"agent.capacity": some},
-        "model and dreams know the newest 10 real episodes only": {"dyna.replay_capacity": some},
-        "dreams of the newest 2 real episodes only": {"agent.fake_capacity": 2 * dreams * length},
+    """Every row; those of `LEARNING`, and of what is kept of real episodes, are `OTHER` ones."""
+    ten = 10 * options.steps
+    other = LEARNING | {
+        "the agent learns from the newest 10 real episodes only": {"agent.capacity": ten},
+        "model and dreams know the newest 10 real episodes only": {"dyna.replay_capacity": ten},
     }
     renamed = {f"{OTHER}{name}": row for name, row in other.items()}
     return {"dyna (lean preset)": {}} | WORSE | renamed | CONTROLS

@@ -1,15 +1,13 @@
 """The two environments that planners and policies are compared in, and who is compared there."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from operator import itemgetter
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from jaxdyna import planners
 from jaxdyna.dyna import Dyna, DynaHParams, DynaState
 from jaxdyna.envs import Maze
 from jaxdyna.experiments import cartpole, maze
@@ -19,11 +17,15 @@ from jaxdyna.experiments.planning.budgets import Contender, Ground
 from jaxdyna.experiments.study import planners as guides
 from jaxdyna.experiments.study.arms import greedy
 from jaxdyna.fields import changed, check, setting
+from jaxdyna.planners import SearchConfig, ShootingConfig, muzero, random_shooting, solve_maze
 from jaxdyna.sweep import over_runs
+from jaxdyna.types import Key
 
 FAR = 1.5
 """Steps that shooting without a value looks ahead in the Maze, as a multiple of the way to the
 goal: a sequence with a drift towards the goal makes detours."""
+NEAR = 5
+"""Steps that it looks ahead there with one."""
 Grounds = Iterator[tuple[Ground, Iterator[Contender]]]
 
 
@@ -57,14 +59,14 @@ class Sizes:
         Maze(*self.board[:2])
 
 
-def cartpole_ground(key: jax.Array, sizes: Sizes) -> Grounds:
+def cartpole_ground(key: Key, sizes: Sizes) -> Grounds:
     """CartPole, and what was learned there by `dyna` of the ``lean`` preset."""
     key_learn, _, key_play = jax.random.split(key, 3)
     episodes = {"episodes": sizes.cartpole_episodes}
     options = changed(cartpole.CARTPOLE.presets["lean"], episodes).resolved()
     dyna, steps = cartpole.arms.parts(options), options.dyna.num_steps
     arm = cartpole.CARTPOLE.arms(options)["dyna"]()
-    [state] = learned(arm, key_learn, sizes.runs[0], [sizes.cartpole_episodes])
+    state = learned(arm, key_learn, sizes.runs[0], options.episodes)
     ground = Ground(
         "CartPole", dyna.env, options.hparams.env, state, steps,
         lambda start, params: jnp.float32(steps), key_play, sizes.played[0], sizes.batch,
@@ -74,25 +76,22 @@ def cartpole_ground(key: jax.Array, sizes: Sizes) -> Grounds:
 
 def cartpole_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Contender]:
     """Who is compared in CartPole."""
-    depth, discount = options.mcts_rollout, options.mcts.discount
-    of = partial(planner, dyna, options.hparams)
+    of, depth = partial(planner, dyna, options.hparams), options.mcts_rollout
+    at_leaves = partial(guides.random_episodes, discount=options.mcts.discount, steps=depth)
 
     yield policy(dyna, options.hparams.agent)
     for count in sizes.candidates:
-        shooting = replace(options.mpc, candidates=count)
-        for world, env in worlds(dyna).items():
-            plan, steps = planners.random_shooting(env, shooting), count * shooting.horizon
-            yield of("MPC", world, steps, plan, guides.without_guide)
+        near = replace(options.mpc, candidates=count)
+        yield from of("MPC", count * near.horizon, random_shooting, near)
     for count in sizes.simulations:
         search = replace(options.mcts, simulations=count)
-        for world, env in worlds(dyna).items():
-            plan, steps = planners.muzero(env, search), count * (1 + depth)
-            guide = guides.random_episodes(env, discount, depth)
-            yield of("MCTS", world, steps, plan, guide)
+        yield from of("MCTS", count * (1 + depth), muzero, search, at_leaves)
 
 
-def maze_ground(key: jax.Array, sizes: Sizes) -> Grounds:
-    """The Maze, and what was learned there by `dyna` of the ``lean`` preset, stage by stage."""
+def maze_ground(key: Key, sizes: Sizes) -> Grounds:
+    """The Maze, and what was learned there by `dyna` of the ``lean`` preset: after fewer episodes
+    it is the same runs, not as far.
+    """
     key_learn, key_play = jax.random.split(key)
     size, obstacles, steps = sizes.board
     after = sorted(set(sizes.maze_episodes))
@@ -101,11 +100,12 @@ def maze_ground(key: jax.Array, sizes: Sizes) -> Grounds:
     world = Maze(size, obstacles)
 
     def best(start: Any, params: Any) -> jax.Array:
-        return planners.solve_maze(world, start.env, params, steps).best_return
+        return solve_maze(world, start.env, params, steps).best_return
 
-    stages = learned(maze.MAZE.arms(options)["dyna"](), key_learn, sizes.runs[1], after)
+    arm = maze.MAZE.arms(options)["dyna"]()
     dyna = maze.arms.parts(world, agent_of(options), model_of(options))
-    for episodes, state in zip(after, stages, strict=True):
+    for episodes in after:
+        state = learned(arm, jax.random.clone(key_learn), sizes.runs[1], episodes)
         ground = Ground(
             f"Maze {size}x{size} after {episodes} episodes", dyna.env, options.hparams.env, state,
             steps, best, jax.random.clone(key_play), sizes.played[1], sizes.batch,
@@ -115,74 +115,65 @@ def maze_ground(key: jax.Array, sizes: Sizes) -> Grounds:
 
 def maze_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Contender]:
     """Who is compared in the Maze."""
-    discount, values = options.hparams.agent.discount, guides.by_values(agent_of(options))
-    far = planners.ShootingConfig(int(FAR * 2 * (options.size - 1)), drift=3.0)
-    of = partial(planner, dyna, options.hparams)
+    of, discount = partial(planner, dyna, options.hparams), options.hparams.agent.discount
+    ahead, values = int(FAR * 2 * (options.size - 1)), guides.by_values(agent_of(options))
 
     yield policy(dyna, greedy(options.hparams.agent))
     for count in sizes.far_candidates:
-        plan = planners.random_shooting(dyna.env, replace(far, candidates=count))
-        yield of("MPC to the goal", "true", count * far.horizon, plan, guides.without_guide)
+        far = ShootingConfig(ahead, count, drift=3.0)
+        yield of("MPC to the goal", count * ahead, random_shooting, far)[0]
     for count in sizes.candidates:
-        near = replace(options.mpc, candidates=count, discount=discount)
-        for world, env in worlds(dyna).items():
-            plan, steps = planners.random_shooting(env, near), count * near.horizon
-            yield of("MPC, learned values", world, steps, plan, values)
+        near = ShootingConfig(NEAR, count, discount, drift=1.0)
+        yield from of("MPC, learned values", count * NEAR, random_shooting, near, lambda _: values)
     for count in sizes.simulations:
-        search = planners.SearchConfig(count, discount=discount)
-        for world, env in worlds(dyna).items():
-            yield of("MCTS, learned values", world, count, planners.muzero(env, search), values)
-
-
-def worlds(dyna: Dyna) -> dict[str, Any]:
-    """What can be planned in."""
-    assert dyna.dream is not None
-    return {"true": dyna.env, "learned": dyna.dream.env}
+        search = SearchConfig(count, discount=discount)
+        yield from of("MCTS, learned values", count, muzero, search, lambda _: values)
 
 
 def policy(dyna: Dyna, hparams: Any) -> Contender:
     """The forward pass of what a run has learned, with these hparams of the agent."""
 
-    def act(state: DynaState, obs: jax.Array, true_state: Any, key: jax.Array) -> jax.Array:
+    def act(state: DynaState, obs: jax.Array, true_state: Any, key: Key) -> jax.Array:
         return dyna.agent.act(state.agent, obs, key, hparams)
 
     return Contender("policy", "-", 0, act)
 
 
 def planner(
-    dyna: Dyna, hparams: DynaHParams, who: str, world: str, steps: int, plan: planners.Planner,
-    guide: guides.MakeGuide,
-) -> Contender:  # fmt: skip
-    """Plans in the true environment from the true state, in the learned one from what is seen."""
-    decide = guides.on_model(dyna, plan, guide)
+    dyna: Dyna, hparams: DynaHParams, who: str, steps: int, make: guides.MakePlanner, config: Any,
+    guide_in: Callable[[Any], guides.MakeGuide] = lambda world: guides.without_guide,
+) -> tuple[Contender, Contender]:  # fmt: skip
+    """One that plans in the true environment from the true state, and one in the learned one from
+    what is seen.
+    """
+    assert dyna.dream is not None
+    true, dreamed = dyna.env, dyna.dream.env
+    plan, guide = make(true, config), guide_in(true)
+    imagine = guides.on_model(dyna, make(dreamed, config), guide_in(dreamed))
 
-    def act(state: DynaState, obs: jax.Array, true_state: Any, key: jax.Array) -> jax.Array:
-        if world == "learned":
-            return decide(state, obs, key, hparams)
+    def knowing(state: DynaState, obs: jax.Array, true_state: Any, key: Key) -> jax.Array:
         told = guide(state, hparams, hparams.env)
         return plan(hparams.env, obs, true_state, key, told).action
 
-    return Contender(who, world, steps, act)
+    def seeing(state: DynaState, obs: jax.Array, true_state: Any, key: Key) -> jax.Array:
+        return imagine(state, obs, key, hparams)
+
+    return Contender(who, "true", steps, knowing), Contender(who, "learned", steps, seeing)
 
 
-def learned(arm: Arm, key: jax.Array, runs: int, after: Sequence[int]) -> list[DynaState]:
-    """So many runs of the arm, ``[runs, ...]``, after each of so many real episodes, in order;
-    without keys: nothing follows.
+def learned(arm: Arm, key: Key, runs: int, episodes: int) -> DynaState:
+    """So many runs of the arm ``[runs, ...]`` after so many real episodes, without keys: nothing
+    follows.
     """
-    ends = jnp.array([(0, *after[:-1]), after]).T
 
-    def whole(key: jax.Array, hparams: Any) -> Any:
+    def whole(key: Key, hparams: Any) -> DynaState:
         def episode(number: jax.Array, state: Any) -> Any:
             return arm.work.step(state, None, number, hparams)[0]
 
-        def stage(state: Any, end: jax.Array) -> tuple[Any, Any]:
-            state = jax.lax.fori_loop(end[0], end[1], episode, state)
-            return state, replace(state, key=None)
-
-        return jax.lax.scan(stage, arm.work.init(key, hparams), ends)[1]
+        state = jax.lax.fori_loop(0, episodes, episode, arm.work.init(key, hparams))
+        return replace(state, key=None)
 
     hparams = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], arm.hparams)
     run = jax.jit(over_runs(whole, 1))
     states = [run(one[None], hparams) for one in jax.random.split(key, runs)]
-    stages = jax.tree.map(lambda *leaves: jnp.concatenate(leaves).swapaxes(0, 1), *states)
-    return [jax.tree.map(itemgetter(number), stages) for number in range(len(after))]
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *states)

@@ -35,11 +35,12 @@ def decisions(record: Record) -> str:
     budgets = record.results["budgets"]
     if not budgets:
         return ""
-    figure(record.out / "decisions.png", budgets)
+    places = by_environment(budgets)
+    figure(record.out / "decisions.png", places)
     return paragraphs(
         "## What a decision costs, and what it earns",
         ABOUT.format(batch=budgets[0]["batch"]),
-        *(f"{name}:\n\n{table(here)}" for name, here in by_environment(budgets).items()),
+        *(f"{name}:\n\n{table(here)}" for name, here in places.items()),
         GROUNDS,
         "![share of the return that could be had, against milliseconds a decision](decisions.png)",
     )
@@ -75,11 +76,10 @@ def table(rows: list[Results]) -> str:
     return markdown_table(header, lines)
 
 
-def figure(path: Path, budgets: list[Results]) -> None:
+def figure(path: Path, places: dict[str, list[Results]]) -> None:
     """Share of what could be had against milliseconds a decision, drawn as a PNG: a panel an
     environment, a line a planner, a dot a budget.
     """
-    places = by_environment(budgets)
     drawn, panels = plots.subplots(1, len(places), figsize=(5.6 * len(places), 4.6), squeeze=False)
     for panel, (name, here) in zip(panels[0], places.items(), strict=True):
         for label in dict.fromkeys(row["label"] for row in here):

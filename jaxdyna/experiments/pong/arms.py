@@ -18,9 +18,9 @@ from jaxdyna.experiments.pong.options import TRUE_OBJECTS, PongOptions
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.frames import frame_dyna
 from jaxdyna.models import AdversarialHParams
-from jaxdyna.networks import ConvolutionalQ, GlimpseQ, PlaceQ, SignedReward
+from jaxdyna.networks import ConvolutionalQ, PlaceQ, SignedReward
 from jaxdyna.rollout import rollout
-from jaxdyna.types import Environment, Key, Transition
+from jaxdyna.types import Key, Transition
 
 GREEDY_EPISODES, GAMES = 20, 5
 SAID = study.SAID | {
@@ -42,12 +42,8 @@ SAID = study.SAID | {
 def arms(options: PongOptions) -> dict[str, study.Made]:
     """What makes each arm that can be had of this game."""
     game = world.game_of(options)
-    looks: Any = {"places": PlaceQ, "glimpses": partial(GlimpseQ, size=options.glimpse),
-                  "convolutions": ConvolutionalQ}  # fmt: skip
-    longest = options.dyna.dream_steps or options.steps  # and none ends before
-    agent = study.sized(options.agent, options.dyna)
-    agent = replace(agent, network=looks[options.look](game.num_actions),
-                    fake_episodes=agent.fake_capacity // longest)  # fmt: skip
+    network: Any = PlaceQ if options.frames == "objects" else ConvolutionalQ
+    agent = replace(study.sized(options.agent, options.dyna), network=network(game.num_actions))
     hparams, rate = options.hparams, options.paper_rate
     if options.game == "ale":
         hparams = replace(hparams, env=AtariParams(options.steps))
@@ -55,18 +51,16 @@ def arms(options: PongOptions) -> dict[str, study.Made]:
     ours = world.our_model(options, options.weight_decay, draws=True)
     blurred = world.paper_model(options, reward=SignedReward(), reward_weight=options.reward_weight)
     hooks = study.Hooks(judge, show, piece=10, block=options.block)
-    make = partial(partial, study.dyna_arm, hooks=hooks)
     dyna, l2 = parts(game, agent, ours), parts(game, agent, blurred)
-    made = study.standard_arms(
-        dyna, options.dyna, hparams, guided(dyna) if options.readable else None, hooks,
+    mended = {name: l2._replace(dream=guided(l2, true)) for name, true in TRUE_OBJECTS.items()}
+    blurring = {"dyna_l2": l2, "dyna_adversarial": parts(game, agent, blurred, True)} | mended
+    return study.standard_arms(
+        dyna, options.dyna, hparams, guided(dyna), hooks,
         busier=parts(game, study.busy(agent), ours).agent,
     ) | {
-        "dyna_l2": make(l2, options.dyna, theirs),
-        "dyna_adversarial": make(parts(game, agent, blurred, True), options.dyna, theirs),
+        name: partial(study.dyna_arm, each, options.dyna, theirs, hooks)
+        for name, each in blurring.items()
     }  # fmt: skip
-    for name, things in TRUE_OBJECTS.items() if options.readable else ():
-        made[name] = make(l2._replace(dream=guided(l2, things)), options.dyna, theirs)
-    return made
 
 
 @cache
@@ -84,15 +78,14 @@ def points(real: Transition, begun: Any, params: Any) -> Metrics:
 
 def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: Any) -> Metrics:
     """The final greedy policy: ``greedy_return`` ``[episodes]`` of new ones; of the real game
-    ``game_score`` and ``game_ended`` ``[games]`` of whole ones.
+    ``game_score`` ``[games]`` of whole ones.
     """
     key, key_games = jax.random.split(key)
     env, act = dyna.env, study.greedy_policy(dyna, state, hparams)
     played = rollout(env, act, key, hparams.env, GREEDY_EPISODES, num_steps=config.num_steps)
     kept = {"greedy_return": played.reward.sum(-1)}
     if isinstance(hparams.env, AtariParams):
-        score, ended = scores(env, act, key_games, env.default_params)
-        kept |= {"game_score": score, "game_ended": ended.astype(jnp.float32)}
+        kept["game_score"] = rollout(env, act, key_games, env.default_params, GAMES).reward.sum(-1)
     return kept
 
 
@@ -101,24 +94,3 @@ def show(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: Any) -> 
     act = study.greedy_policy(dyna, state, hparams)
     played = rollout(dyna.env, act, key, hparams.env, 1, num_steps=config.num_steps)
     return {"greedy": played.next_obs[0, ..., -3:]}
-
-
-def scores(env: Environment, act: Any, key: Key, env_params: Any, games: int = GAMES) -> Any:
-    """Whole games by ``(obs, key) -> action``, side by side until the last one is over: points won
-    less points lost, and whether they were played to their end, not cut by ``max_steps``, both
-    ``[games]``.
-    """
-
-    def step(carry: Any) -> Any:
-        obs, state, score, *_, key = carry
-        key, key_act, key_step = jax.random.split(key, 3)
-        obs, state, reward, ended, cut, _ = env.step(key_step, state, act(obs, key_act), env_params)
-        return obs, state, score + reward, ended, cut, key
-
-    def one(key_reset: Key, key: Key) -> Any:
-        start = (*env.reset(key_reset, env_params), jnp.float32(0), False, False, key)
-        *_, score, ended, _, _ = jax.lax.while_loop(lambda now: ~(now[3] | now[4]), step, start)
-        return score, ended
-
-    key_reset, key_games = jax.random.split(key)
-    return jax.vmap(one)(jax.random.split(key_reset, games), jax.random.split(key_games, games))

@@ -13,10 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.envs import CHANNELS, AtariParams, AtariPong, Pong, PongParams, PongState
+from jaxdyna.envs import CHANNELS, AtariParams, AtariPong, Palette, Pong, PongParams, PongState
 from jaxdyna.envs.pong_rules import BALL, PADDLE
 from jaxdyna.envs.pong_screen import picture_of
-from jaxdyna.experiments.engine import InputError
 from jaxdyna.experiments.pong.world import NUM_FRAMES, OBJECTS, middles
 from jaxdyna.types import Key, Transition
 
@@ -35,18 +34,18 @@ class Source(NamedTuple):
     Attributes:
         env: the game.
         params: its params.
+        palette: the colours in which its frames are seen.
         keep: ``(frame, state) -> moment``.
         rows: from a moment to the rows, in the game's pixels, of the ball's middle and of the own
             paddle's, and whether there is a ball.
-        frame: to the frame, uint8 ``[H, W, 3]``.
         objects: to what is there, bool ``[H, W, 3]``: opponent, own paddle and ball.
     """
 
     env: Any
     params: Any
+    palette: Palette
     keep: Callable[[jax.Array, Any], Any]
     rows: Callable[[Any], tuple[jax.Array, jax.Array, jax.Array]]
-    frame: Callable[[Any], jax.Array]
     objects: Callable[[Any], jax.Array]
 
 
@@ -60,7 +59,7 @@ def states(game: Pong, params: PongParams) -> Source:
         masks = game.object_masks(state)
         return jnp.stack([masks.opponent, masks.own, masks.ball], axis=-1)
 
-    return Source(game, params, lambda frame, state: state, rows, game.frame, objects)
+    return Source(game, params, game.palette, lambda frame, state: state, rows, objects)
 
 
 @cache
@@ -80,11 +79,8 @@ def screens(game: AtariPong, steps: int) -> Source:
         row = middles(there, 0, game.scale)
         return row[OBJECTS["ball"]], row[OBJECTS["own paddle"]], there[..., OBJECTS["ball"]].any()
 
-    def frame(moment: jax.Array) -> jax.Array:
-        return picture_of(objects(moment), game.palette)
-
     env = replace(game, palette=CHANNELS)
-    return Source(env, AtariParams(steps), keep, rows, frame, objects)
+    return Source(env, AtariParams(steps), game.palette, keep, rows, objects)
 
 
 class Played(NamedTuple):
@@ -94,37 +90,26 @@ class Played(NamedTuple):
         world: moments, leaves ``[N, T + 1, ...]``.
         action: int32 ``[N, T]``.
         reward: ``[N, T]``.
-        over: whether a game ended in it, bool ``[N]``.
     """
 
     world: Any
     action: jax.Array
     reward: jax.Array
-    over: jax.Array
 
 
-class Player(NamedTuple):
-    """Who plays an episode.
-
-    Attributes:
-        skill: share of the actions that follow the ball; the others are random. 0 is the random
-            policy.
-        aim: pixels below the paddle's middle with which it meets the ball.
+def choose(
+    skill: jax.Array, aim: jax.Array, ball: jax.Array, own: jax.Array, seen: jax.Array, key: Key
+) -> jax.Array:
+    """A player's action, int32: it follows the ball with a share ``skill`` of its actions, the
+    others are random, and meets it ``aim`` pixels below its middle; the rest is `Source.rows`.
     """
-
-    skill: jax.Array
-    aim: jax.Array
-
-
-def choose(player: Player, ball: jax.Array, own: jax.Array, seen: jax.Array, key: Key) -> jax.Array:
-    """A player's action, int32; ``ball``, ``own`` and ``seen`` are as in `Source.rows`."""
     key_whether, key_any, key_fire = jax.random.split(key, 3)
-    away = ball - own - player.aim
+    away = ball - own - aim
     follow = jnp.where(jnp.abs(away) < NEAR, 0, jnp.where(away > 0, 3, 2))
     follow = jnp.where(seen, follow, 0)
     follow = jnp.where(jax.random.bernoulli(key_fire), jnp.asarray(FIRES)[follow], follow)
     anything = jax.random.randint(key_any, (), 0, len(FIRES))
-    skilled = jax.random.uniform(key_whether) < player.skill
+    skilled = jax.random.uniform(key_whether) < skill
     return jnp.where(skilled, follow, anything).astype(jnp.int32)
 
 
@@ -144,14 +129,14 @@ def play(source: Source, steps: int, episodes: int, mixed: Any, key: Key) -> Pla
         def step(carry: Any, nothing: None) -> Any:
             moment, state, key = carry
             key, key_act, key_step = jax.random.split(key, 3)
-            action = choose(Player(skill, aim), *source.rows(moment), key_act)
-            frame, state, reward, over, *_ = source.env.step(key_step, state, action, source.params)
+            action = choose(skill, aim, *source.rows(moment), key_act)
+            frame, state, reward, *_ = source.env.step(key_step, state, action, source.params)
             moment = source.keep(frame, state)
-            return (moment, state, key), (moment, action, reward, over)
+            return (moment, state, key), (moment, action, reward)
 
-        rest, action, reward, over = jax.lax.scan(step, (first, state, key_steps), length=steps)[1]
+        rest, action, reward = jax.lax.scan(step, (first, state, key_steps), length=steps)[1]
         world = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, rest)
-        return Played(world, action, reward, over.any())
+        return Played(world, action, reward)
 
     return jax.vmap(one)(jax.random.split(key, episodes))
 
@@ -160,18 +145,11 @@ _play = jax.jit(play, static_argnums=(0, 1, 2))
 
 
 def collect(source: Source, steps: int, episodes: int, mixed: bool, key: Key) -> Played:
-    """The same by the host, so many copies of a game at a time.
-
-    Raises:
-        InputError: where a game is over before an episode is.
-    """
+    """The same by the host, so many copies of a game at a time."""
     parts, copies = [], min(COPIES, episodes)
     for _ in range(-(-episodes // copies)):
         key, key_now = jax.random.split(key)
-        played = jax.tree.map(np.asarray, _play(source, steps, copies, mixed, key_now))
-        if played.over.any():
-            raise InputError(f"--steps is {steps}: a game of 21 points ended within it, give fewer")
-        parts.append(played)
+        parts.append(jax.tree.map(np.asarray, _play(source, steps, copies, mixed, key_now)))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:episodes], *parts)
 
 
@@ -181,15 +159,11 @@ def take(source: Source, played: Played, episode: jax.Array, time: jax.Array) ->
     """
     times = jnp.maximum(time[:, None] + jnp.arange(1 - NUM_FRAMES, 2), 0)
     seen = jax.tree.map(lambda leaf: leaf[episode[:, None], times], played.world)
-    frames = jax.vmap(jax.vmap(source.frame))(seen)
-
-    def stack(frames: jax.Array) -> jax.Array:
-        moved = jnp.moveaxis(frames, 1, -2)
-        return moved.reshape(*moved.shape[:-2], -1)
-
+    frames = picture_of(jax.vmap(jax.vmap(source.objects))(seen), source.palette)
+    stacks = jnp.moveaxis(frames, 1, -2).reshape(len(time), *frames.shape[2:4], -1)
     no = jnp.zeros(time.shape, bool)
     return Transition(
-        obs=stack(frames[:, :-1]), action=played.action[episode, time],
-        reward=played.reward[episode, time], next_obs=stack(frames[:, 1:]), terminated=no,
+        obs=stacks[..., :-3], action=played.action[episode, time],
+        reward=played.reward[episode, time], next_obs=stacks[..., 3:], terminated=no,
         truncated=time == played.action.shape[1] - 1, mask=~no,
     )  # fmt: skip

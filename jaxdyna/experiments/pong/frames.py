@@ -1,7 +1,7 @@
 """Predicting Pong's frames (§4.3, Fig. 9): the paper's models beside one that does not blur."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, ClassVar, Literal
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna import losses, models
-from jaxdyna.envs import AtariPong, PongParams
+from jaxdyna.envs import AtariPong
 from jaxdyna.envs.pong_screen import mixture_of, shares_of
 from jaxdyna.experiments.engine import Arm, Experiment, Record, Runs, Work
 from jaxdyna.experiments.frames.options import FrameOptions, Training
@@ -27,8 +27,6 @@ from jaxdyna.fields import changed, setting
 from jaxdyna.types import DynamicsModel, Key, Transition
 
 Policy = Literal["random", "mixed"]
-POLICIES: tuple[Policy, ...] = ("random", "mixed")
-MIXED = POLICIES.index("mixed")
 SAID = {
     "l2": "Fig. 4 on patches, squared error, in shades, lit from one half on.",
     "l1": "the same under L1.",
@@ -54,10 +52,12 @@ class PongFrames(world.GameOptions, FrameOptions):
     arms: tuple[str, ...] = setting(tuple(SAID), "the models that are trained", everyday=True)
     episodes: int = setting(1000, "of each policy, to learn from", at_least=1, everyday=True)
     policies: tuple[Policy, ...] = setting(
-        POLICIES, "whose episodes: random: every action at random; mixed: players of all "
-        "strengths, from random ones to one that follows the ball", everyday=True,
+        ("random", "mixed"), "whose episodes: random: every action at random; mixed: players of "
+        "all strengths, from random ones to one that follows the ball", everyday=True,
     )  # fmt: skip
-    horizon: int = setting(30, "steps of an open-loop dream", at_least=1, everyday=True)
+    steps: int = setting(
+        200, "steps of an episode; 21 points take longer", at_least=1, at_most=700, everyday=True
+    )
     dreams: int = setting(8, "dreams in each held-out episode", at_least=1)
     paper: Training = setting(factory=lambda: Training(6000, 0, 32, 4e-3, 0.0, None),
                               help="training of Fig. 4")  # fmt: skip
@@ -67,7 +67,7 @@ class PongFrames(world.GameOptions, FrameOptions):
 
 def arms(options: PongFrames) -> dict[str, Callable[[], Arm]]:
     """Every model, trained on the episodes of each policy."""
-    parts = {str(one): (POLICIES.index(one), options.episodes) for one in options.policies}
+    parts = {str(one): (int(one == "mixed"), options.episodes) for one in options.policies}
     trained = {arm: "ours" if arm == "ours" else "paper" for arm in SAID}
     return frame_arms(options, trained, work, lambda arm: parts)
 
@@ -88,29 +88,27 @@ def asked(options: PongFrames, arm: str) -> tuple[DynamicsModel, Asked]:
     """The arm's model, and what is asked of it."""
     game = world.game_of(options)
     palette, actions = game.palette, game.num_actions
+    config: Any = world.our_model(options, options.ours.weight_decay)
+    if arm != "ours":
+        lit = arm == "bce" and options.frames == "objects"
+        more: Any = {"threshold": 0.2, "shades": False} if lit else {}
+        loss = {"l1": losses.l1, "bce": losses.bce}.get(arm, losses.l2)
+        config = world.paper_model(options, options.paper.weight_decay, loss, **more)
+    model = world.model_of(game, config, arm == "adversarial")
+    rules = (("lit", model.predict),)
     if arm == "ours":
-        ours = world.our_model(options, options.ours.weight_decay)
-        knows = models.rectangle_probability(game.frame_shape, actions, ours)
+        knows = models.rectangle_probability(game.frame_shape, actions, config)
 
         def believe(params: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
             return knows(params, world.in_channels(obs, palette), action)
 
-        def expect(*args: Any) -> jax.Array:
-            return mixture_of(believe(*args), palette) / 255
-
-        model = world.model_of(game, ours)
-        return model, Asked(believe, (("lit", model.predict),), 0.5, picture=expect)
-    lit = arm == "bce" and options.frames == "objects"
-    more: Any = {"threshold": 0.2, "shades": False} if lit else {}
-    loss = {"l1": losses.l1, "bce": losses.bce}.get(arm, losses.l2)
-    config = world.paper_model(options, options.paper.weight_decay, loss, **more)
+        return model, Asked(
+            believe, rules, 0.5, picture=lambda *args: mixture_of(believe(*args), palette) / 255
+        )
     frame = models.frame_probability(actions, config)
-
-    def shares(*args: Any) -> jax.Array:
-        return shares_of(255 * frame(*args), palette)
-
-    model = world.model_of(game, config, arm == "adversarial")
-    return model, Asked(shares, (("lit", model.predict),), config.threshold or 0.5, picture=frame)
+    return model, Asked(
+        lambda *args: shares_of(255 * frame(*args), palette), rules, config.threshold, picture=frame
+    )
 
 
 @cache
@@ -120,8 +118,8 @@ def world_of(options: PongFrames) -> World:
     """
     real, game = options.game == "ale", world.game_of(options)
     steps, palette = options.steps, PALETTES[options.frames]
-    params = world.params_of(options, PongParams())
-    source = screens(game, steps) if isinstance(game, AtariPong) else states(game, params)
+    rules = replace(world.RULES, max_steps=steps)
+    source = screens(game, steps) if isinstance(game, AtariPong) else states(game, rules)
 
     def of_a_run(play: Callable[..., Played], mixed: Any, key: Key) -> tuple[Played, Played]:
         key_random, key_mixed, key_new = jax.random.split(key, 3)
@@ -136,11 +134,11 @@ def world_of(options: PongFrames) -> World:
         return jax.tree.map(lambda *leaves: np.stack(leaves), *each)
 
     def gather(runs: Runs) -> tuple[Played, Played]:
-        mixed = runs.hparams.part == MIXED
-        return of_runs(tuple(zip(runs.seed.tolist(), mixed.tolist(), strict=True)), runs.base)
+        mixed = map(bool, runs.hparams.part.tolist())
+        return of_runs(tuple(zip(runs.seed.tolist(), mixed, strict=True)), runs.base)
 
     def data(key: Key, _: Key, stage: Stage) -> tuple[Played, Played]:
-        return of_a_run(play, stage.part == MIXED, key)
+        return of_a_run(play, stage.part == 1, key)
 
     def draw(data: Any, key: Key, stage: Stage, size: int) -> Transition:
         key_episode, key_time = jax.random.split(key)
@@ -196,16 +194,15 @@ def _example(options: PongFrames, truth: Callable[..., jax.Array], data: Any) ->
 def seen(options: PongFrames, stack: np.ndarray) -> np.ndarray:
     """A stack as one picture in [0, 1], the older frames fainter."""
     palette = PALETTES[options.frames]
-    frames = np.split(stack, world.NUM_FRAMES, -1)
-    shares = [shares_of(jnp.asarray(frame), palette) for frame in frames]
-    faint = pictures.trail(np.concatenate(shares, axis=-1))
-    return np.asarray(mixture_of(jnp.asarray(faint), palette)) / 255
+    channels = world.in_channels(jnp.asarray(stack), palette)
+    faint = jnp.asarray(pictures.trail(np.asarray(channels) / 255))
+    return np.asarray(mixture_of(faint, palette)) / 255
 
 
 def about(record: Record) -> str:
     """What was done."""
     options: PongFrames = record.options
-    serves = f", a ball served {options.serve_delay} of its frames after a point"
+    serves = f", a ball served {world.SERVE_DELAY} of its frames after a point"
     shades = (
         " A predicted pixel is taken for a mixture of the background and that object with which it "
         "comes closest, and is lit from one half on. Our model sees the same frames; what it takes "
@@ -260,7 +257,7 @@ def before_serves(record: Record) -> str:
     )
 
 
-TUNED = PongFrames()
+TUNED = PongFrames(horizon=30)
 LEAN = changed(TUNED, {"preset": "lean", "arms": ("ours",)})
 QUICK = {
     "seeds": 2, "episodes": 20, "steps": 100, "widths": (8, 8, 8), "dense": 64,

@@ -35,12 +35,9 @@ def read_state(game: Pong, stack: jax.Array, params: PongParams, key: Key) -> Po
     scale, skip = game.scale, game.frame_skip
     middle = jnp.stack([middles(ball, axis) for axis in (0, 1)], -1) * scale
     seen = ball.any((0, 1))
-
-    def first(masks: jax.Array, axis: int, size: tuple[int, int], key: Key) -> jax.Array:
-        return _first_pixel(masks[..., -1].any(1 - axis), size[axis], scale, key)
-
-    place = jnp.stack([first(ball, 0, BALL, key_row), first(ball, 1, BALL, key_column)])
-    own_row = first(own, 0, PADDLE, key_own)
+    sides = ((0, key_row), (1, key_column))
+    place = jnp.stack([_first_pixel(ball, axis, BALL, scale, key) for axis, key in sides])
+    own_row = _first_pixel(own, 0, PADDLE, scale, key_own)
     own_row = own_row + own_row % 2 * jnp.where(own_row % scale == scale - 1, -1, 1)  # shown evenly
     moved = scale * jnp.diff(middles(own, 0)[-2:])[0]
     out = (place[1] >= RIGHT) | (place[1] <= LEFT)  # shown for a frame before it counts, and after
@@ -57,16 +54,19 @@ def read_state(game: Pong, stack: jax.Array, params: PongParams, key: Key) -> Po
         ball_velocity=velocity.astype(jnp.int32),
         own=own_row,
         own_target=(own_row + _on_its_way(moved, params.paddle_speed)).astype(jnp.float32),
-        opponent=first(opponent, 0, PADDLE, key_opponent),
+        opponent=_first_pixel(opponent, 0, PADDLE, scale, key_opponent),
         wait=jnp.where(in_play, 0, waits).astype(jnp.int32),
         clock=skip * jax.random.randint(key_clock, (), 0, jnp.maximum(params.opponent_rest, 1)),
     )
 
 
-def _first_pixel(lit: jax.Array, length: int, scale: int, key: Key) -> jax.Array:
-    """Where a thing of so many pixels begins that lights these of the frame's rows or columns
-    ``[n]``; it may reach beyond the edge.
+def _first_pixel(
+    masks: jax.Array, axis: int, size: tuple[int, int], scale: int, key: Key
+) -> jax.Array:
+    """The row or column at which a thing of this size begins that is so in the newest of the frames
+    ``[H, W, frames]``; it may reach beyond the edge.
     """
+    lit, length = masks[..., -1].any(1 - axis), size[axis]
     cells = lit.shape[0]
     first, last = jnp.argmax(lit), cells - 1 - jnp.argmax(lit[::-1])
     from_last, within_first = scale * last - length + 1, scale * first + scale - 1

@@ -1,6 +1,6 @@
 """The game as both parts play and see it, and the models of its frames."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import jax
@@ -8,11 +8,11 @@ import jax.numpy as jnp
 
 from jaxdyna import models
 from jaxdyna.envs import CHANNELS, AtariPong, Palette, Pong, PongParams
-from jaxdyna.envs.pong_rules import FASTEST
+from jaxdyna.envs.pong_rules import FASTEST, FIELD
 from jaxdyna.envs.pong_screen import picture_of
 from jaxdyna.experiments.engine import Options
 from jaxdyna.experiments.frames.options import decayed_adam
-from jaxdyna.fields import SettingError, setting
+from jaxdyna.fields import setting
 from jaxdyna.losses import PixelLoss, l2
 from jaxdyna.networks import Discriminator, EncoderDecoder, Patched
 from jaxdyna.types import DynamicsModel
@@ -22,11 +22,18 @@ PALETTES = {"objects": CHANNELS, "rgb": Palette()}
 OBJECTS = {"ball": 2, "own paddle": 1, "opponent": 0}
 """Their channels in `CHANNELS`."""
 NUM_FRAMES = 4
+FRAME_SKIP = 4
+"""The game's frames in a step."""
 SERVE_DELAY = 5
-"""Frames of the pure game after which a ball is served, where nothing else is said."""
-ENDLESS = 1_000_000
-"""Points that nobody comes to: an episode is so many steps."""
+"""Of the pure game's frames: the real one's 63 are more than four stacked frames can count, and
+with no more than `FRAME_SKIP` a serve can look like a ball that jumps.
+"""
+RULES = PongParams(points_to_win=1_000_000, first_serve_delay=SERVE_DELAY, serve_delay=SERVE_DELAY)
+"""The pure game's, where nothing else is said. Nobody wins: an episode is so many steps."""
+PATCH, KERNELS = 4, (4, 3, 3)
+"""Pixels a side of the patches that Fig. 4 works on, and patches a side of its convolutions."""
 GAMES_SAID = {"jax": "the pure game", "ale": "the Atari 2600 game (ALE/Pong-v5, no sticky actions)"}
+FRAMES_SAID = {"objects": "each object in a channel of its own", "rgb": "in the game's colours"}
 COLOURS_SAID = "Red is the opponent, green the own paddle, blue the ball."
 
 
@@ -42,69 +49,43 @@ class GameOptions(Options):
     )
     seeds: int = setting(6, "runs of every arm", at_least=1, everyday=True)
     steps: int = setting(200, "steps of an episode", at_least=1, everyday=True)
-    scale: int = setting(4, "the game's pixels a pixel, a side; a divisor of 160", at_least=2)
-    frame_skip: int = setting(4, "the game's frames in a step", at_least=1)
-    serve_delay: int = setting(
-        SERVE_DELAY, "the pure game's frames from a point to the next serve (63 in the real game, "
-        "which keeps them, are more than four stacked frames can count); with no more than "
-        "frame_skip a serve can look like a ball that jumps", at_least=0,
-    )  # fmt: skip
-    patch: int = setting(4, "pixels a side of the patches that Fig. 4 works on", at_least=1)
-    widths: tuple[int, int, int] = setting((32, 32, 32), "channels of its convolutions", at_least=1)
-    kernels: tuple[int, int, int] = setting((4, 3, 3), "their sizes in patches a side", at_least=1)
+    scale: Literal[4, 2] = setting(4, "the game's pixels a pixel, a side")
+    widths: tuple[int, int, int] = setting((32, 32, 32), "of Fig. 4's convolutions", at_least=1)
     dense: int = setting(512, "width of its dense layer", at_least=1)
     adversarial_weight: float = setting(
         0.1, "the paper's lambda, beside half the squared error summed over a frame", at_least=0
     )
     hidden: tuple[int, ...] = setting((256, 256), "widths of our model's perceptrons", at_least=1)
-    dropout: float = setting(0.1, "share of its features that a gradient step does without",
+    dropout: float = setting(0.1, "share of our model's features that a gradient step does without",
                              at_least=0, below=1)  # fmt: skip
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.game == "ale" and self.serve_delay != SERVE_DELAY:
-            raise SettingError("serve_delay", "is the real game's own: leave it out of --game ale")
-        side = game_of(self).frame_shape[0]
-        if side % self.patch or sum(self.kernels) - 3 >= side // self.patch:
-            raise ValueError(
-                f"--patch {self.patch} and --kernels {self.kernels} do not fit frames of {side} "
-                "pixels a side: give a divisor of it that leaves more patches than kernels take"
-            )
 
 
 def game_of(options: GameOptions) -> Pong | AtariPong:
     """The game in the colours that it is seen in."""
     kind = AtariPong if options.game == "ale" else Pong
-    return kind(options.frame_skip, options.scale, PALETTES[options.frames])
+    return kind(FRAME_SKIP, options.scale, PALETTES[options.frames])
 
 
 def seen_said(options: GameOptions) -> str:
     """How it is seen, in words."""
-    height, width, _ = game_of(options).frame_shape
-    seen = {"objects": "each object in a channel of its own", "rgb": "in the game's colours"}
+    side = FIELD // options.scale
     told = ", objects told by their colours" if options.game == "ale" else ""
-    return f"{height}x{width} pixels of the field, {seen[options.frames]}{told}"
-
-
-def params_of(options: GameOptions, given: PongParams) -> PongParams:
-    """The pure game's: episodes of so many steps, however many points; the rest as given."""
-    delays = dict.fromkeys(("first_serve_delay", "serve_delay"), options.serve_delay)
-    return replace(given, points_to_win=ENDLESS, max_steps=options.steps, **delays)
+    return f"{side}x{side} pixels of the field, {FRAMES_SAID[options.frames]}{told}"
 
 
 def paper_model(
     options: GameOptions, weight_decay: float = 0.0, loss: PixelLoss = l2, **more: Any
 ) -> models.PixelConfig:
     """Fig. 4 on patches. Frames are in shades, and count as lit from one half on."""
-    coder = EncoderDecoder(3 * options.patch**2, options.widths, options.kernels, options.dense)
-    network, optimizer = Patched(coder, options.patch), decayed_adam(weight_decay, 0.5)
+    coder = EncoderDecoder(3 * PATCH**2, options.widths, KERNELS, options.dense)
+    network, optimizer = Patched(coder, PATCH), decayed_adam(weight_decay, 0.5)
     shades = {"threshold": 0.5, "reward": None, "shades": True}
     return models.PixelConfig(network, loss, optimizer=optimizer, **shades | more)
 
 
 def our_model(options: GameOptions, weight_decay: float, **more: Any) -> models.RectangleConfig:
     """Categories for the places of each object's edges."""
-    reach = (80 // options.scale, FASTEST * options.frame_skip // options.scale + 1)
+    reach = (80 // options.scale, FASTEST * FRAME_SKIP // options.scale + 1)
     return models.RectangleConfig(reach, hidden=options.hidden, dropout=options.dropout,
                                   optimizer=decayed_adam(weight_decay), **more)  # fmt: skip
 
@@ -114,9 +95,8 @@ def model_of(game: Pong | AtariPong, config: Any, opposed: bool = False) -> Dyna
     shape, actions = game.frame_shape, game.num_actions
     if isinstance(config, models.RectangleConfig):
         return in_colours(models.rectangles(shape, actions, config), game.palette)
-    first = next(size for size in (5, 4, 2, 1) if shape[0] % size == 0)
-    patches = Discriminator((first, 2 if shape[0] // first % 2 == 0 else 1))
-    judge = models.discriminator(shape, models.AdversaryConfig(patches)) if opposed else None
+    patches = models.AdversaryConfig(Discriminator((5, 2)))
+    judge = models.discriminator(shape, patches) if opposed else None
     return models.pixels(shape, actions, config, adversary=judge)
 
 

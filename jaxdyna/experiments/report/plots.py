@@ -1,7 +1,6 @@
 """Figures. Every one says in its axes and legend what is drawn, and how it was smoothed."""
 
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle, islice
 from pathlib import Path
@@ -11,6 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from jaxdyna.experiments.report.summaries import carried, running_mean
+
 COLOURS = {
     "model_free": "#4c566a", "dyna": "#0f7b6c", "placebo": "#b5651d", "oracle": "#6a4c93",
     "more_updates": "#c2185b", "mpc": "#c77700", "mcts": "#2f6db5", "mpc_init": "#a8432e",
@@ -19,8 +20,6 @@ COLOURS = {
     "true_opponent": "#888888", "true_frames": "#d4a017", "max_updates": "#e07b9a",
 }  # fmt: skip
 MARK, FAINT = "#c0392b", "#888888"
-BESIDE: Any = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
-LINES = ("-", "--", ":", "-.")
 FIG5 = {
     "truth": {"color": "#d08770", "linewidth": 3.0, "label": "real environment"},
     "one_step": {"color": "#0f7b6c", "linewidth": 1.2, "label": "model, one step ahead"},
@@ -137,33 +136,6 @@ def prediction_figure(
     save(figure, path)
 
 
-def solved_share(
-    path: Path, first_solved: Mapping[str, np.ndarray], known: Mapping[str, int]
-) -> None:
-    """The share of the runs whose solving window has begun, against real episodes. Arms of one
-    colour, such as one with good and with poorer models, differ in their lines.
-
-    Args:
-        path: the PNG.
-        first_solved: by arm, the window's first episode ``[seeds]``, infinity where unsolved.
-        known: by arm, the last episode at which it is known, where its line ends.
-    """
-    figure, panel = subplots(figsize=(7.4, 3.8))
-    drawn: Counter[str] = Counter()
-    for name, values in first_solved.items():
-        shade = colour(name)
-        numbers = np.sort(values[np.isfinite(values)])
-        share = np.concatenate([[0], np.arange(1, len(numbers) + 1), [len(numbers)]]) / len(values)
-        panel.step(
-            [1, *numbers, max(known[name], 1)], share, where="post", color=shade,
-            linestyle=LINES[drawn[shade] % len(LINES)], label=f"{name} ({len(values)} runs)",
-        )  # fmt: skip
-        drawn[shade] += 1
-    panel.set_ylim(-0.02, 1.02)
-    finish(panel, x="first real episode of the solving window", y="share of the runs", **BESIDE)
-    save(figure, path)
-
-
 def solve_bars(path: Path, solved_at: Mapping[str, np.ndarray], limit: int, axis: str) -> None:
     """When many settings solved (``[seeds]``): every seed a dot, the mean a bar; on the right the
     unsolved, infinity, each counted as ``limit``.
@@ -196,42 +168,21 @@ def error_scatter(
     figure, panel = subplots(figsize=(9.5, 4.8))
     shade = COLOURS["dyna"]
     for number, (name, values) in enumerate(error.items(), start=1):
-        mean_x, mean_y = values.mean(), solved_at[name].mean()
-        across, up = (mean_interval(one[:, None])[:, 0] for one in (values, solved_at[name]))
-        panel.plot(across, [mean_y, mean_y], color=shade, alpha=0.5, linewidth=1)
-        panel.plot([mean_x, mean_x], up, color=shade, alpha=0.5, linewidth=1)
-        panel.plot(mean_x, mean_y, "o", color=shade, markersize=5, zorder=3,
-                   markerfacecolor="white" if name in hollow else shade,
-                   label=f"{number}  {name}")  # fmt: skip
-        panel.annotate(str(number), (mean_x, mean_y), (4, 4), textcoords="offset points",
-                       fontsize=8)  # fmt: skip
+        means = [one.mean() for one in (values, solved_at[name])]
+        across, up = (
+            abs(mean_interval(one[:, None]) - one.mean()) for one in (values, solved_at[name])
+        )
+        panel.errorbar(
+            *means, up, across, fmt="o", color=shade, markersize=5, elinewidth=0.6,
+            markerfacecolor="white" if name in hollow else shade, label=f"{number}  {name}",
+        )  # fmt: skip
+        panel.annotate(str(number), means, (4, 4), textcoords="offset points", fontsize=8)
     for name, level in lines.items():
         panel.axhline(level, color=MARK, linewidth=1, linestyle="--")
         panel.text(0.995, level, name, color=MARK, fontsize=7, va="bottom", ha="right",
                    transform=panel.get_yaxis_transform())  # fmt: skip
     panel.set_xscale("log")
-    finish(panel, x=x, y=y, fontsize=7, handlelength=0, markerscale=0, **BESIDE)
-    save(figure, path)
-
-
-def swept_map(
-    path: Path, sweep: Mapping[str, Sequence[Any]], values: Mapping[str, np.ndarray], what: str
-) -> None:
-    """``what`` over a grid of two settings, a panel an arm, ``[rows, columns]``; ``sweep`` has the
-    settings' values by dotted path, rows first.
-    """
-    (rows, row_values), (columns, column_values) = sweep.items()
-    size = (1.5 + (2.4 + 0.7 * len(column_values)) * len(values), 2.2 + 0.5 * len(row_values))
-    figure, panels = subplots(1, len(values), figsize=size, squeeze=False)
-    for panel, (name, grid) in zip(panels.flat, values.items(), strict=True):
-        picture = panel.imshow(grid, cmap="viridis_r", aspect="auto")
-        for (row, column), value in np.ndenumerate(grid):
-            shade = "black" if value <= (grid.min() + grid.max()) / 2 else "white"
-            panel.text(column, row, f"{value:.0f}", ha="center", va="center", color=shade)
-        panel.set_xticks(range(len(column_values)), [str(value) for value in column_values])
-        panel.set_yticks(range(len(row_values)), [str(value) for value in row_values])
-        finish(panel, name, columns, rows, legend=False)
-        figure.colorbar(picture, ax=panel, label=what)
+    finish(panel, x=x, y=y, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     save(figure, path)
 
 
@@ -278,21 +229,6 @@ def colours(names: Sequence[str]) -> list[str]:
 def smoothing_window(curves: Iterable[np.ndarray]) -> int:
     """Episodes in the running mean of curves ``[seeds, episodes]``: 20 of 1,000, fewer of fewer."""
     return max(1, min(20, max(values.shape[1] for values in curves) // 50))
-
-
-def running_mean(values: np.ndarray, window: int) -> np.ndarray:
-    """Mean of the last ``window`` entries along the last axis, of fewer at the start."""
-    padded = np.concatenate([np.zeros((*values.shape[:-1], 1)), values.cumsum(-1, np.float64)], -1)
-    ends = np.arange(1, values.shape[-1] + 1)
-    starts = np.maximum(ends - window, 0)
-    return (padded[..., ends] - padded[..., starts]) / (ends - starts)
-
-
-def carried(values: np.ndarray) -> np.ndarray:
-    """``[seeds, episodes]`` in which a run that is over keeps its last value."""
-    last = np.maximum(np.isfinite(values).sum(-1) - 1, 0)
-    numbers = np.minimum(np.arange(values.shape[-1]), last[:, None])
-    return np.take_along_axis(values, numbers, axis=-1)
 
 
 def mean_interval(values: np.ndarray, resamples: int = 400) -> np.ndarray:

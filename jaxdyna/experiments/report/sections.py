@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
+from itertools import product
 from typing import Any, Concatenate, ParamSpec
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from jaxdyna import fields
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.summaries import HELD_EPISODES, comparisons, mean_of_runs
-from jaxdyna.experiments.report.tables import markdown_table, runs, with_interval
+from jaxdyna.experiments.report.tables import markdown_table, paragraphs, runs, with_interval
 from jaxdyna.statistics import SolveRule, episodes_to_solve
 
 Section = Callable[[Any], str]
@@ -31,11 +32,6 @@ def told(section: Callable[Concatenate[Any, P], str]) -> Callable[P, Section]:
         return lambda record: section(record, *args, **more)
 
     return tell
-
-
-def paragraphs(*parts: str) -> str:
-    """Put below each other; empty ones are left out."""
-    return "\n\n".join(part.strip("\n") for part in parts if part)
 
 
 def grouped(record: Any, by: str = "arm", of: str = "setting") -> dict[str, dict[str, str]]:
@@ -89,11 +85,13 @@ def solved_share(record: Any, rule: Rule) -> str:
     """The share of the runs that have solved, against real episodes."""
     if not record.curves:
         return ""
-    solves, first, known = rule(record.options), {}, {}
+    solves, solved = rule(record.options), {}
     for name, curves in record.curves.items():
-        first[name] = episodes_to_solve(solves.score(curves), solves) - solves.window + 1
-        known[name] = int(np.isfinite(curves["real_return"]).sum(1).max()) - solves.window + 1
-    plots.solved_share(record.out / "solved.png", first, known)
+        first = episodes_to_solve(solves.score(curves), solves) - solves.window + 1
+        known = int(np.isfinite(curves["real_return"]).sum(1).max()) - solves.window + 1
+        solved[name] = (first[:, None] <= np.arange(1, max(known, 1) + 1)).astype(float)
+    plots.bands(record.out / "solved.png", {"": solved}, "first real episode of the solving window",
+                "share of the runs, 95% interval", ylim=(-0.02, 1.02))  # fmt: skip
     return "![share of the runs that have solved](solved.png)"
 
 
@@ -123,34 +121,22 @@ def behaviour(
 
 
 def swept(record: Any) -> str:
-    """What was swept, of the arms of which every value has been played: returns for one field, a
-    map of episodes to solve for two.
+    """Returns with each swept value, or each with every other's, of the arms of which all have been
+    played; the table alone says it where there are more of them than colours.
     """
-    sweep, arms = record.results["sweep"], record.results["arms"]
-    shape, file = [len(values) for values in sweep.values()], record.out / "sweep.png"
-    whole = {
-        arm: list(names.values())
-        for arm, names in grouped(record).items()
-        if len(names) == np.prod(shape) and all("final_return" in arms[n] for n in names.values())
-    }
-    if len(shape) not in (1, 2) or not whole:
+    sweep, arms = record.results["sweep"], grouped(record)
+    points = [", ".join(map(str, point)) for point in product(*sweep.values())]
+    panels = {
+        arm: {point: record.curves[name]["real_return"]
+              for point, name in zip(points, names.values(), strict=True)}
+        for arm, names in arms.items() if len(names) == len(points)
+    }  # fmt: skip
+    if not sweep or not panels or len(points) > len(plots.COLOURS):
         return ""
-    if len(shape) == 1:
-        [(path, values)] = sweep.items()
-        panels = {
-            arm: {str(value): record.curves[name]["real_return"]
-                  for value, name in zip(values, names, strict=True)}
-            for arm, names in whole.items()
-        }  # fmt: skip
-        window = plots.smoothing_window(one for lines in panels.values() for one in lines.values())
-        plots.bands(file, panels, f"real episodes (running mean of {window})",
-                    "return: mean of runs, 95% interval", window=window, legend=path)  # fmt: skip
-    else:
-        least = {
-            arm: np.reshape([arms[n]["episodes_to_solve"]["restricted_mean"] for n in names], shape)
-            for arm, names in whole.items()
-        }
-        plots.swept_map(file, sweep, least, "episodes to solve, mean")
+    window = plots.smoothing_window(one for lines in panels.values() for one in lines.values())
+    plots.bands(record.out / "sweep.png", panels, f"real episodes (running mean of {window})",
+                "return: mean of runs, 95% interval", window=window,
+                legend=", ".join(sweep))  # fmt: skip
     return f"![swept: {', '.join(sweep)}](sweep.png)"
 
 

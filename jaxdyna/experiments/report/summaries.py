@@ -52,10 +52,22 @@ def last_mean(values: np.ndarray, window: int) -> np.ndarray:
     """The mean of each run's own last entries, ``[runs]``, of ``[runs, episodes]`` that are NaN
     after a run's end.
     """
-    ends = np.isfinite(values).sum(-1)
-    numbers = np.arange(values.shape[-1])
-    last = (numbers < ends[:, None]) & (numbers >= ends[:, None] - window)
-    return np.where(last, values, 0).sum(-1) / np.maximum(last.sum(-1), 1)
+    return carried(running_mean(values, window))[:, -1]
+
+
+def running_mean(values: np.ndarray, window: int) -> np.ndarray:
+    """Mean of the last ``window`` entries along the last axis, of fewer at the start."""
+    padded = np.concatenate([np.zeros((*values.shape[:-1], 1)), values.cumsum(-1, np.float64)], -1)
+    ends = np.arange(1, values.shape[-1] + 1)
+    starts = np.maximum(ends - window, 0)
+    return (padded[..., ends] - padded[..., starts]) / (ends - starts)
+
+
+def carried(values: np.ndarray) -> np.ndarray:
+    """``[seeds, episodes]`` in which a run that is over keeps its last value."""
+    last = np.maximum(np.isfinite(values).sum(-1) - 1, 0)
+    numbers = np.minimum(np.arange(values.shape[-1]), last[:, None])
+    return np.take_along_axis(values, numbers, axis=-1)
 
 
 def mean_of_runs(values: np.ndarray) -> Results:

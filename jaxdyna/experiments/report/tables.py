@@ -73,3 +73,8 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def paragraphs(*parts: str) -> str:
+    """Put below each other; empty ones are left out."""
+    return "\n\n".join(part.strip("\n") for part in parts if part)

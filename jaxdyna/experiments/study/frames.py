@@ -91,7 +91,7 @@ class Replayed:
     def reset(self, key: Key, params: ReplayedParams) -> tuple[jax.Array, StackState]:
         """Draws a real stack and reads the state off it."""
         key_draw, key_read = jax.random.split(key)
-        obs = frame_replay.sample(params.start, key_draw, ()).obs
+        obs = draw_stack(key_draw, params.start)
         return obs, StackState(self.read(obs, key_read), obs)
 
     def step(
