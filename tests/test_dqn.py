@@ -87,10 +87,11 @@ def test_a_batch_is_mixed_as_it_is_told(share):
     config = replace(SMALL, batch=2000, updates=0, fake_updates=0)
     agent, hparams = make(batch=2000, updates=0, fake_updates=0), DQNHParams(fake_share=share)
     state = agent.init(jax.random.key(0), hparams)
-    real, fake = (play(seed)._replace(reward=jnp.full((2, 6), float(seed))) for seed in (0, 1))
+    real, fake = (play(seed)._replace(reward=np.full((2, 6), seed, np.float32)) for seed in (0, 1))
+    mixed = jax.jit(lambda *known: _mixed(*known, config)[0].reward.mean())
 
     def mean_reward(seed):
-        return float(_mixed(state, jax.random.key(seed), hparams, config)[0].reward.mean())
+        return float(mixed(state, jax.random.key(seed), hparams))
 
     state, _ = agent.update(state, real, jax.random.key(1), hparams)
     assert mean_reward(2) == 0
@@ -102,33 +103,42 @@ def test_what_weighs_nothing_changes_nothing():
     agent = make()
     state = agent.init(jax.random.key(0), HPARAMS)
     state, _ = agent.update(state, play(0), jax.random.key(1), HPARAMS)
-    nothing = play(1)._replace(mask=jnp.zeros((2, 6)))
+    nothing = play(1)._replace(mask=np.zeros((2, 6), bool))
     for learn in (agent.update, agent.update_fake):
         assert_same(learn(state, nothing, jax.random.key(2), HPARAMS)[0], state)
     fresh = agent.init(jax.random.key(0), HPARAMS)
-    episodes = play(0)._replace(mask=jnp.ones((2, 6)))
     halves = [
-        agent.update(fresh, episodes._replace(mask=episodes.mask * w), jax.random.key(1), HPARAMS)
+        agent.update(
+            fresh, play(0)._replace(mask=np.full((2, 6), w, np.float32)), jax.random.key(1), HPARAMS
+        )
         for w in (1.0, 0.5)
     ]
     assert float(halves[1][1]["loss"]) < float(halves[0][1]["loss"])
 
 
-def test_jit_is_eager_and_vmap_is_a_loop():
+def learn(key):
     config = replace(SMALL, optimizer=optax.sgd)  # Adam would magnify rounding
     agent, episodes = dqn((SIZE, SIZE, 3), 5, config), play(0)
-    keys = jax.random.split(jax.random.key(3), 2)
+    key_init, key_update = jax.random.split(key)
+    state = agent.init(key_init, HPARAMS)
+    return agent.update(state, episodes, key_update, HPARAMS)[0].params
 
-    def learn(key):
-        key_init, key_update = jax.random.split(key)
-        state = agent.init(key_init, HPARAMS)
-        return agent.update(state, episodes, key_update, HPARAMS)[0].params
 
+def test_vmap_is_a_loop():
+    keys, compiled = jax.random.split(jax.random.key(3), 2), jax.jit(learn)
     together = jax.jit(jax.vmap(learn))(jax.random.clone(keys))
     for number, key in enumerate(jax.random.clone(keys)):
-        alone = jax.jit(learn)(jax.random.clone(key))
-        assert_close(jax.tree.map(lambda leaf, n=number: leaf[n], together), alone, 1e-4)
-    assert_close(learn(key), alone, 1e-4)
+        assert_close(jax.tree.map(lambda leaf, n=number: leaf[n], together), compiled(key), 1e-4)
+
+
+@pytest.mark.slow
+def test_jit_is_eager():
+    assert_close(learn(jax.random.key(3)), jax.jit(learn)(jax.random.key(3)), 1e-4)
+
+
+@partial(jax.jit, static_argnums=0)
+def actions_of(act, state, obs, keys, hparams):
+    return jax.vmap(lambda key: act(state, obs, key, hparams))(keys)
 
 
 def test_exploration():
@@ -145,7 +155,7 @@ def test_exploration():
 
     def actions(state, hparams, act=agent.act):
         keys = jax.random.split(jax.random.key(5), 400)
-        return jax.vmap(lambda key: act(state, obs, key, hparams))(keys)
+        return actions_of(act, state, obs, keys, hparams)
 
     even = jnp.bincount(actions(state, hparams), length=5)
     assert even.min() > 50

@@ -16,6 +16,8 @@ from jaxdyna.windows import take_window
 
 ENV = FrameStack(Maze(size=5, num_obstacles=3))
 TAKE, ADD = jax.jit(frame_replay.take), jax.jit(frame_replay.add)
+HELD = jax.jit(lambda buffer: buffer.held)
+SAMPLE = jax.jit(frame_replay.sample, static_argnums=2)
 WINDOW = jax.jit(take_window, static_argnums=2)
 
 
@@ -29,13 +31,14 @@ def _play(key, count, steps):
 
 
 def play(seed, count, steps=7, lengths=None):
-    """Episodes ``[count, steps]``; those cut to ``lengths`` terminate there."""
-    episodes = _play(jax.random.key(seed), count, steps)
+    """Episodes ``[count, steps]``, in NumPy; those cut to ``lengths`` terminate there."""
+    most = jax.tree.map(np.asarray, _play(jax.random.key(seed), 3, steps))
+    episodes = jax.tree.map(lambda leaf: leaf[:count], most)
     if lengths is None:
         return episodes
-    time, ends = jnp.arange(steps), jnp.asarray(lengths)[:, None]
+    time, ends = np.arange(steps), np.asarray(lengths)[:, None]
     return episodes._replace(
-        mask=time < ends, terminated=time == ends - 1, truncated=jnp.zeros((count, steps), bool)
+        mask=time < ends, terminated=time == ends - 1, truncated=np.zeros((count, steps), bool)
     )
 
 
@@ -64,16 +67,16 @@ def check(buffer, parts):
     kept = flat(parts)
     numbers = np.arange(int(buffer.oldest), int(buffer.added))
     padded = np.resize(numbers, 64)  # one shape, and so one program, for all
-    got = jax.tree.map(lambda leaf: leaf[: len(numbers)], TAKE(buffer, padded))
-    assert_same(got, jax.tree.map(lambda leaf: jnp.asarray(leaf[numbers]), kept))
-    assert int(buffer.held.sum()) == int(buffer.size) == len(numbers)
+    got = jax.tree.map(lambda leaf: np.asarray(leaf)[: len(numbers)], TAKE(buffer, padded))
+    assert_same(got, jax.tree.map(lambda leaf: leaf[numbers], kept))
+    assert int(HELD(buffer).sum()) == int(buffer.size) == len(numbers)
     return len(numbers)
 
 
 def test_stacks_come_back_as_they_were_across_the_ends_of_episodes():
     parts = [play(0, 2), play(1, 1, lengths=[1]), play(2, 3, lengths=[3, 7, 2])]
     buffer = frame_replay.init(64, 20, example(parts[0]))
-    assert int(buffer.size) == 0 and not buffer.held.any()
+    assert int(buffer.size) == 0 and not HELD(buffer).any()
     for part in parts:
         buffer = ADD(buffer, part)
     assert check(buffer, parts) == 14 + 1 + 12
@@ -82,8 +85,8 @@ def test_stacks_come_back_as_they_were_across_the_ends_of_episodes():
 
 def test_a_branch_remembers_what_was_seen_before_it():
     branch = jax.tree.map(lambda leaf: leaf[:, 3:], play(0, 2))
-    parts = [branch, play(1, 1), jax.tree.map(lambda leaf: leaf[:, 1:3], play(2, 2))]
-    parts[2] = parts[2]._replace(truncated=parts[2].truncated.at[:, -1].set(True))
+    parts = [branch, play(1, 1), jax.tree.map(lambda leaf: leaf[:, 1:3].copy(), play(2, 2))]
+    parts[2].truncated[:, -1] = True
     buffer = frame_replay.init(64, 20, example(branch))
     for part in parts:
         buffer = ADD(buffer, part)
@@ -92,7 +95,7 @@ def test_a_branch_remembers_what_was_seen_before_it():
 
 def test_an_episode_whose_last_steps_weigh_nothing_ends_before_them():
     episodes = play(0, 2)
-    light = episodes._replace(mask=episodes.mask * (jnp.arange(7) < 4) * 0.5)
+    light = episodes._replace(mask=(episodes.mask * (np.arange(7) < 4) * 0.5).astype(np.float32))
     buffer = ADD(frame_replay.init(64, 9, example(light)), light)
     assert int(buffer.size) == 8
     drawn = TAKE(buffer, jnp.arange(8))
@@ -104,7 +107,7 @@ def test_an_episode_whose_last_steps_weigh_nothing_ends_before_them():
 
 def test_windows_by_hand():
     episodes = play(3, 2, lengths=[3, 7])
-    episodes = episodes._replace(reward=jnp.arange(14.0).reshape(2, 7))
+    episodes = episodes._replace(reward=np.arange(14, dtype=np.float32).reshape(2, 7))
     buffer = ADD(frame_replay.init(64, 20, example(episodes)), episodes)
     window = WINDOW(buffer, jnp.arange(4), 3, 0.5)
     np.testing.assert_allclose(window.reward, [0 + 0.5 + 0.5, 1 + 1, 2, 7 + 4 + 9 / 4])
@@ -122,17 +125,21 @@ def test_windows_by_hand():
 
 def test_memory_draws_rare_transitions_and_forgets():
     episodes = play(0, 2)
-    episodes = episodes._replace(reward=jnp.zeros((2, 7)).at[1, 3].set(1.0))
+    episodes = episodes._replace(reward=np.eye(2, 7, 2, np.float32))
     memory = frames(lambda rest: rest["reward"] > 0)
-    held = memory.add(memory.init(64, 9, example(episodes)), episodes)
-    drawn = memory.take(held, memory.draw(held, jax.random.key(0), (400,), 0.5))
-    assert drawn.reward.mean() == pytest.approx(0.5, abs=0.08)
-    alike = memory.take(held, memory.draw(held, jax.random.key(0), (400,), None))
-    assert alike.reward.mean() < 0.2
-    emptied = memory.forget(held, jnp.bool_(True))
+    add, forget = jax.jit(memory.add), jax.jit(memory.forget)
+    held = add(memory.init(64, 9, example(episodes)), episodes)
+
+    @partial(jax.jit, static_argnums=1)
+    def mean_reward(held, share):
+        return memory.take(held, memory.draw(held, jax.random.key(0), (400,), share)).reward.mean()
+
+    assert mean_reward(held, 0.5) == pytest.approx(0.5, abs=0.08)
+    assert mean_reward(held, None) < 0.2
+    emptied = forget(held, jnp.bool_(True))
     assert int(emptied.size) == 0
-    assert int(memory.add(emptied, play(1, 1)).size) == 7
-    assert int(memory.forget(held, jnp.bool_(False)).size) == 14
+    assert int(add(emptied, play(1, 2)).size) == 14
+    assert int(forget(held, jnp.bool_(False)).size) == 14
 
 
 def test_what_lost_its_frames_is_not_drawn():
@@ -151,18 +158,18 @@ def test_what_lost_its_frames_is_not_drawn():
 def test_samples_are_uniform_and_whole():
     parts = [play(0, 2), play(1, 2, lengths=[3, 5])]
     buffer = frame_replay.init(32, 8, example(parts[0]))
-    empty = frame_replay.sample(buffer, jax.random.key(0), (3,))
+    empty = SAMPLE(buffer, jax.random.key(0), (3,))
     assert not empty.mask.any()
     for part in parts:
         buffer = ADD(buffer, part)
-    drawn = frame_replay.sample(buffer, jax.random.key(0), (100, 40))
+    drawn = SAMPLE(buffer, jax.random.key(0), (100, 40))
     assert drawn.obs.shape == (100, 40, 5, 5, 12) and drawn.mask.all()
     rows = {row.tobytes() for row in np.asarray(flat(parts).obs)}
     seen = [row.tobytes() for row in np.asarray(drawn.obs).reshape(-1, 5, 5, 12)]
     assert set(seen) == rows
     ends = buffer.rest["truncated"] | buffer.rest["terminated"]
-    weight = share_weight(buffer.held, ends, 0.5)
-    drawn = frame_replay.sample(buffer, jax.random.key(1), (4000,), weight)
+    weight = jax.jit(share_weight, static_argnums=2)(HELD(buffer), ends, 0.5)
+    drawn = SAMPLE(buffer, jax.random.key(1), (4000,), weight)
     assert (drawn.truncated | drawn.terminated).mean() == pytest.approx(0.5, abs=0.03)
 
 

@@ -1,5 +1,7 @@
 """Frame models: their networks, losses and heads."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -39,11 +41,12 @@ def act(obs, key):
 
 @pytest.fixture(scope="module")
 def episodes():
-    return rollout(ENV, act, jax.random.key(1), PARAMS, 6)
+    return jax.jit(lambda key: rollout(ENV, act, key, PARAMS, 6))(jax.random.key(1))
 
 
-def make(name, num_frames=4):
-    model = pixels((SIZE, SIZE, 3), 5, CONFIGS[name], num_frames)
+@cache
+def make(name):
+    model = pixels((SIZE, SIZE, 3), 5, CONFIGS[name])
     return model._replace(init=jax.jit(model.init), update=jax.jit(model.update))
 
 
@@ -52,15 +55,17 @@ def test_a_prediction_is_a_stack_with_one_new_frame(name, episodes):
     model = make(name)
     params = model.init(jax.random.key(0), PixelHParams()).params
     obs = episodes.obs[0, 5]
-    prediction = model.predict(params, obs, episodes.action[0, 5], jax.random.key(1))
+    predict = jax.jit(model.predict)
+    prediction = predict(params, obs, episodes.action[0, 5], jax.random.key(1))
     assert prediction.next_obs.shape == obs.shape and prediction.next_obs.dtype == jnp.uint8
     np.testing.assert_array_equal(prediction.next_obs[..., :9], obs[..., 3:])
     assert set(np.unique(prediction.next_obs[..., 9:])) <= {0, 255}
     assert prediction.reward.shape == prediction.terminated.shape == ()
     assert (prediction.terminated > 0) == (name == "ends")
     assert name != "ends" or prediction.reward == 0
-    jitted = jax.jit(model.predict)(params, obs, episodes.action[0, 5], jax.random.key(1))
-    assert_close(jitted, prediction, 1e-4)
+    if name == "local":
+        eager = model.predict(params, obs, episodes.action[0, 5], jax.random.key(1))
+        assert_close(eager, prediction, 1e-4)
 
 
 @pytest.mark.parametrize("name", CONFIGS)
@@ -72,10 +77,12 @@ def test_what_is_masked_does_not_teach(name, episodes):
         return model.update(state, transitions, jax.random.clone(key), hparams)[0]
 
     some = episodes._replace(mask=episodes.mask.at[:, 10:].set(False))
+    late = np.arange(30) >= 10
+    blank = late[None, :, None, None, None]
     garbage = some._replace(
-        reward=jnp.where(some.mask, some.reward, 99.0),
-        obs=some.obs.at[:, 10:].set(255),
-        next_obs=some.next_obs.at[:, 10:].set(255),
+        reward=jnp.asarray(np.where(some.mask, some.reward, np.float32(99))),
+        obs=jnp.asarray(np.where(blank, np.uint8(255), some.obs)),
+        next_obs=jnp.asarray(np.where(blank, np.uint8(255), some.next_obs)),
     )
     assert_close(update(garbage), update(some), 1e-4)
     assert_same(update(episodes._replace(mask=episodes.mask * 0.0)), state)
@@ -98,8 +105,9 @@ def test_drawn_pixels_come_as_often_as_they_are_believed_in(episodes):
     params = jax.jit(model.init)(jax.random.key(3), PixelHParams()).params
     obs, action = episodes.obs[0, 3], episodes.action[0, 3]
     keys = jax.random.split(jax.random.key(4), 2000)
-    drawn = jax.vmap(model.predict, (None, None, None, 0))(params, obs, action, keys).next_obs
-    believed = frame_probability(5, config)(params, obs[None], action[None])[0]
+    predict = jax.jit(jax.vmap(model.predict, (None, None, None, 0)))
+    drawn = np.asarray(predict(params, obs, action, keys).next_obs)
+    believed = jax.jit(frame_probability(5, config))(params, obs[None], action[None])[0]
     np.testing.assert_allclose((drawn[..., 9:] > 0).mean(0), believed, atol=0.05)
 
 
@@ -109,8 +117,9 @@ def test_a_model_says_how_many_pixels_it_expects_to_be_wrong(threshold, episodes
     model = pixels((SIZE, SIZE, 3), 5, config)
     params = jax.jit(model.init)(jax.random.key(3), PixelHParams()).params
     obs, action = episodes.obs[0, 3], episodes.action[0, 3]
-    prediction = model.predict(params, obs, action, jax.random.key(4))
-    believed = np.asarray(frame_probability(5, config)(params, obs[None], action[None])[0])
+    prediction = jax.jit(model.predict)(params, obs, action, jax.random.key(4))
+    believe = jax.jit(frame_probability(5, config))
+    believed = np.asarray(believe(params, obs[None], action[None])[0])
     wrong = np.where(believed > threshold, 1 - believed, believed).sum()
     np.testing.assert_allclose(prediction.disagreement, wrong, rtol=1e-4)
 
@@ -169,8 +178,9 @@ def test_it_learns_what_it_is_shown(name, episodes):
     assert losses["reward_loss"][-1] < 0.6 * losses["reward_loss"][0]
     flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), episodes)
     keys = jax.random.split(jax.random.key(1), flat.action.shape[0])
-    seen = jax.vmap(model.predict, (None, 0, 0, 0))(state.params, flat.obs, flat.action, keys)
-    wrong = (seen.next_obs != flat.next_obs)[..., 9:].sum((1, 2, 3))
+    predict = jax.jit(jax.vmap(model.predict, (None, 0, 0, 0)))
+    seen = predict(state.params, flat.obs, flat.action, keys)
+    wrong = (np.asarray(seen.next_obs) != flat.next_obs)[..., 9:].sum((1, 2, 3))
     assert wrong.mean() < {"local": 2, "coder": 4}[name]  # all black is wrong in five
 
 
@@ -179,14 +189,15 @@ def test_a_reward_is_laid_where_it_is_earned():
     leaves the reward on the cells where it is earned.
     """
     head = LocalReward()
-    keys = jax.random.split(jax.random.key(0), 3)
-    cells = jax.random.randint(keys[0], (512, 3), 0, 6)
-    cells = jnp.where(
-        jax.random.bernoulli(keys[1], 0.4, (512, 1)), cells.at[:, 0].get()[:, None], cells
-    )
-    frames = jax.nn.one_hot(cells, 6).transpose(0, 2, 1)[:, :, None]  # [N, 6, 1, channels]
+    generator = np.random.default_rng(0)
+    cells = generator.integers(0, 6, (512, 3))
+    cells = np.where(generator.random((512, 1)) < 0.4, cells[:, :1], cells)
+    frames = np.eye(6, dtype=np.float32)[cells].transpose(0, 2, 1)[
+        :, :, None
+    ]  # [N, 6, 1, channels]
     reward = -5.0 * (cells[:, 0] == cells[:, 2]) + (cells[:, 1] == cells[:, 2])
-    params = head.init(keys[2], None, frames)
+    reward = reward.astype(np.float32)
+    params = jax.jit(head.init)(jax.random.key(0), None, frames)
     optimizer = optax.adam(1e-2)
 
     def loss(params):
@@ -198,11 +209,11 @@ def test_a_reward_is_laid_where_it_is_earned():
         updates, opt_state = optimizer.update(jax.grad(loss)(params), opt_state)
         return (optax.apply_updates(params, updates), opt_state), None
 
-    (params, _), _ = jax.jit(lambda c: jax.lax.scan(step, c, length=2000))(
-        (params, optimizer.init(params))
-    )
+    (params, _), _ = jax.jit(
+        lambda params: jax.lax.scan(step, (params, optimizer.init(params)), length=2000)
+    )(params)
     lights = jnp.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1.0]])
-    earned = head.apply(params, None, lights[:, None, None])[0]
+    earned = jax.jit(head.apply)(params, None, lights[:, None, None])[0]
     np.testing.assert_allclose(earned, [0, 0, 0, -5, 1, -4], atol=0.4)
 
 
@@ -212,7 +223,7 @@ def test_a_dreamed_maze_is_an_environment(episodes):
     params = LearnedParams(
         model.init(jax.random.key(0), PixelHParams()).params, episodes.obs[0, 9], max_steps=7
     )
-    dreams = rollout(world, act, jax.random.key(2), params, 3)
+    dreams = jax.jit(lambda key: rollout(world, act, key, params, 3))(jax.random.key(2))
     assert dreams.obs.shape == (3, 7, SIZE, SIZE, 12) and dreams.obs.dtype == jnp.uint8
     assert dreams.truncated[:, -1].all()
 
@@ -221,24 +232,26 @@ def test_the_end_is_learned():
     """A maze that ends on the goal: held-out ends are found, and others are not taken for one."""
     env, params = FrameStack(Maze(size=3, num_obstacles=1)), MazeParams(max_steps=12)
 
-    def ending(seed):
-        played = rollout(env, act, jax.random.key(seed), params, 60)
+    @jax.jit
+    def ending(key):
+        played = rollout(env, act, key, params, 60)
         home = (played.next_obs[..., -2] & played.next_obs[..., -1]).any((-1, -2))
         before = jnp.cumsum(home, axis=1) - home == 0
         return played._replace(terminated=home & before, mask=before)
 
     model = pixels((3, 3, 3), 5, PixelConfig(LOCAL, terminates=True))
     state = jax.jit(model.init)(jax.random.key(0), PixelHParams(1e-2))
-    seen = ending(1)
+    seen = ending(jax.random.key(1))
 
     def step(state, _):
         return model.update(state, seen, jax.random.key(0), PixelHParams(1e-2))
 
     state, losses = jax.jit(lambda s: jax.lax.scan(step, s, length=150))(state)
     assert losses["end_loss"][-1] < 0.1 * losses["end_loss"][0]
-    new = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), ending(2))
+    new = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), ending(jax.random.key(2)))
     keys = jax.random.split(jax.random.key(3), new.action.shape[0])
-    ends = jax.vmap(model.predict, (None, 0, 0, 0))(state.params, new.obs, new.action, keys)
+    predict = jax.jit(jax.vmap(model.predict, (None, 0, 0, 0)))
+    ends = predict(state.params, new.obs, new.action, keys)
     right = ((ends.terminated > 0.5) == new.terminated)[new.mask]
     assert new.terminated.sum() > 10 and right.mean() > 0.97
 

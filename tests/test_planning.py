@@ -70,7 +70,7 @@ def test_everybody_decides_by_what_each_run_has_learned():
     assert (returns[0] != other[0]).any() and (returns[1] != other[1]).any()
 
 
-FEW = ["--arms", "dyna", "model_free"]
+FEW = ["--arms", "dyna"]
 
 
 def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_path, monkeypatch):
@@ -90,7 +90,7 @@ def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_
     assert [(row["who"], row["world"]) for row in results["budgets"]] == [
         ("policy", "-"), ("MPC", "true"), ("MPC", "learned"), ("MCTS", "true"), ("MCTS", "learned")
     ]  # fmt: skip
-    assert set(results["arms"]) == {"dyna", "model_free"}
+    assert set(results["arms"]) == {"dyna"}
     text = (tmp_path / "report.md").read_text()
     assert "times the policy's" in text and "in the same episodes" in text
     for figure in ("decisions", "solved", "variants"):

@@ -27,6 +27,9 @@ MAZE = [
     "--dream-episodes", "2", "--dream-steps", "3", "--agent.updates", "1",
     "--agent.fake-updates", "1", "--agent.batch", "4",
 ]  # fmt: skip
+MAZE_PLANNED = [
+    "--shown-episodes", "2", "--cloning.updates", "2", "--mpc.candidates", "2", "--mpc.horizon", "2"
+]  # fmt: skip
 MAZE_MODEL = [
     "--part", "model", "--quick", "--seeds", "2", "--episodes", "6", "--stages", "2", "6",
     "--ablation-stage", "6", "--steps", "30", "--horizon", "10", "--held-out", "2",
@@ -66,7 +69,7 @@ FIG4 = ["--model", "paper", "--size", "11", "--steps", "21", "--episodes", "32"]
 SMOKE = {
     "cartpole-paper": ["cartpole", *CARTPOLE, "--arms", "model_free", "dyna"],
     "cartpole-lean": ["cartpole", "--preset", "lean", *CARTPOLE, "--arms", "model_free", "dyna"],
-    "maze": ["maze", *MAZE, "--arms", "placebo"],
+    "maze": ["maze", *MAZE, *MAZE_PLANNED, "--arms", "placebo", "mpc_init"],
     "planning": ["planning", *PLANNING, "--arms", "mpc", "mpc_init"],
     "pong-model": ["pong", *PONG_MODEL, *ON_THE_ATARI, "--arms", "adversarial", "ours"],
     "pong": ["pong", *PONG, "--arms", "dyna_adversarial"],
@@ -96,6 +99,9 @@ NET = SMOKE | {
         "--forget-every", "7", "--terminal-share", "0.5", "--no-rest-when-safe", "--arms", "dyna",
     ],
     "maze-arms": ["maze", *MAZE, "--arms", "model_free", "dyna", "oracle", "more_updates"],
+    "maze-planners": [
+        "maze", *MAZE, *MAZE_PLANNED, "--mcts.simulations", "2", "--arms", "mpc", "mcts",
+    ],
     "maze-lean": ["maze", "--preset", "lean", *MAZE, "--arms", "model_free", "dyna", "placebo"],
     "maze-levers": ["maze_levers", *MAZE_LEVERS, "--arms", "model-free", "model: L2 loss"],
     "maze-fig4": ["maze", *MAZE, *FIG4, "--model-loss", "l1", "--arms", "dyna"],

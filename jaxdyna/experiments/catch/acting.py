@@ -139,16 +139,11 @@ def final(record: Any) -> str:
 
 
 TUNED = CatchOptions()
-LEAN = changed(TUNED, {
-    "preset": "lean", "dyna.num_real_first": 8, "dyna.model_updates": 60, "agent.updates": 20,
-    "agent.fake_updates": 100, "hparams.agent.epsilon_hold": 8.0,
-    "hparams.agent.epsilon_episodes": 10.0,
-})  # fmt: skip
 CATCH = Experiment(
     name="catch",
     title="Catch",
-    presets={"tuned": TUNED, "lean": LEAN},
-    quick={name: {"seeds": 2, "episodes": 120} for name in ("tuned", "lean")},
+    presets={"tuned": TUNED},
+    quick={"tuned": {"seeds": 2, "episodes": 120}},
     arms=arms,
     rule=lambda options: RULE,
     describe=(describe,),

@@ -11,13 +11,12 @@ import numpy as np
 
 from jaxdyna.envs import Maze, MazeParams, MazeState
 from jaxdyna.experiments.engine import Experiment
-from jaxdyna.experiments.maze.arms import STARTS, arms
+from jaxdyna.experiments.maze.arms import SAID, STARTS, arms
 from jaxdyna.experiments.maze.options import LEAN, QUICK, TUNED, MazeOptions
 from jaxdyna.experiments.report import frames
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import last_mean, mean_of_runs
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
-from jaxdyna.experiments.study.arms import SAID
 from jaxdyna.statistics import SolveRule, episodes_to_solve
 
 RULE = SolveRule(50, 0.95, "oracle_return")
@@ -28,6 +27,8 @@ WRONG = {
     "wrong_frames": "share of new frames predicted wrong",
     "wrong_rewards": "share of new rewards predicted wrong",
 }
+TRAINED = ("dyna", "mpc", "mcts", "mpc_init")
+"""Arms with a model that learns."""
 FILMED = (1, 50, 100, 200)
 FILM_STEPS = 100
 SMOOTHED = 10
@@ -162,7 +163,7 @@ MAZE = Experiment(
         report.behaviour(
             WRONG, SMOOTHED, "model.png", "A frame is predicted wrong where any pixel is, one step "
             "ahead, and a reward by half a point; each real episode is judged before the model "
-            "learns from it. An untrained model, which is always wrong, is not drawn.", ("dyna",),
+            "learns from it. An untrained model, which is always wrong, is not drawn.", TRAINED,
         ),
         model_errors, films, final, report.arms_said(SAID), report.settings,
         lambda record: DIFFERENT, report.spent,

@@ -1,5 +1,9 @@
 """The arms of learning to act, what is kept of their episodes, and what is judged of them. Dreams
 of all arms begin where those of ``dyna`` do and are as many and as long.
+
+The goal is 30 steps from the start. A planner without a value must look further ahead than that;
+on learned frames that costs seconds a decision, so planners look a few steps ahead and take the
+agent's values for what comes after: the learner, which is off-policy, learns from what they play.
 """
 
 from dataclasses import replace
@@ -11,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna import losses, networks, planners
-from jaxdyna.agents import DQNConfig, dqn
+from jaxdyna.agents import CloningConfig, DQNConfig, DQNState, cloning, dqn, q_values
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, Metrics
 from jaxdyna.envs import FrameStack, Maze, MazeParams, StackState
 from jaxdyna.envs.maze import MOVES
@@ -22,25 +26,49 @@ from jaxdyna.experiments.maze.oracle import true_dream
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
 from jaxdyna.experiments.study.frames import frame_dyna
+from jaxdyna.experiments.study.planners import acting, by_values
 from jaxdyna.models import PixelConfig, pixels
 from jaxdyna.rollout import first_states, rollout
-from jaxdyna.types import Key, Transition
+from jaxdyna.types import Agent, Key, Transition
 
 STARTS, AT_ONCE = 1000, 100
 JUDGED = 2
 DRIFT = (0.1, 0.35, 0.35, 0.1, 0.1)
 """Odds of the moves of a policy that drifts to the goal."""
+SAID = study.SAID | {
+    "mpc": "after the first N episodes the best of random action sequences in the learned model "
+    "acts, the agent's values for what comes after them. No dreams.",
+    "mcts": "likewise MuZero's tree search, the agent's values at its leaves and for its prior's "
+    "log odds. No dreams.",
+    "mpc_init": "`mpc` plays some episodes, which the agent learns from and imitates by a margin "
+    "loss; it goes on model-free. No dreams.",
+}
 
 
 def arms(options: MazeOptions, judged: bool = True) -> dict[str, study.Made]:
     """What makes each arm; ``judged``: and judges its policy in the end."""
     maze, agent, model = Maze(options.size, options.obstacles), agent_of(options), model_of(options)
+    dreamless = replace(options.dyna, dream_updates=0)
     hooks = study.Hooks(judge if judged else None, piece=10, block=options.block)
     dyna = parts(maze, agent, model, options.steps if options.judged_on == "common" else None)
-    return study.standard_arms(
+    made = study.standard_arms(
         dyna, options.dyna, options.hparams, true_dream(maze), hooks,
         busier=parts(maze, study.busy(agent), model).agent,
     )  # fmt: skip
+
+    def planned(dyna: Dyna, make: Any, settings: Any, episodes: int | None = None) -> Any:
+        playing = acting(dyna, make, settings, by_values(agent), episodes)._replace(dream=None)
+        return study.dyna_arm(playing, dreamless, options.hparams, hooks)
+
+    def shown() -> Any:
+        imitating = dyna._replace(agent=imitator(dyna, agent, options.cloning))
+        return planned(imitating, planners.random_shooting, options.mpc, options.shown_episodes)
+
+    return made | {
+        "mpc": lambda: planned(dyna, planners.random_shooting, options.mpc),
+        "mcts": lambda: planned(dyna, planners.muzero, options.mcts),
+        "mpc_init": shown,
+    }
 
 
 def agent_of(options: MazeOptions) -> DQNConfig:
@@ -72,6 +100,21 @@ def parts(maze: Maze, agent: DQNConfig, model: PixelConfig, common: int | None =
     learner, learned = dqn(shape, len(MOVES), agent), pixels(shape, len(MOVES), model)
     dyna = frame_dyna(env, learner, learned, partial(behaviour, maze))
     return dyna if common is None else on_common(dyna, common_transitions(env, common))
+
+
+@cache
+def imitator(dyna: Dyna, config: DQNConfig, imitation: CloningConfig) -> Agent:
+    """The agent of ``dyna``, which imitates what it is shown."""
+    stack = dyna.env.observation_space(dyna.env.default_params).shape
+    example = jax.ShapeDtypeStruct(stack, np.uint8), jax.ShapeDtypeStruct((), np.int32)
+
+    def values(params: Any, obs: jax.Array) -> jax.Array:
+        return q_values(config.network, params, obs[None])[0]
+
+    def install(state: DQNState, params: Any) -> DQNState:
+        return replace(state, params=params, target=jax.tree.map(jnp.copy, params))
+
+    return cloning(dyna.agent, values, example, imitation, install)
 
 
 def behaviour(maze: Maze, real: Transition, begun: StackState, params: MazeParams) -> Metrics:

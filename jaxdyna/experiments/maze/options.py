@@ -3,13 +3,17 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
-from jaxdyna.agents import DQNConfig, DQNHParams
+from jaxdyna.agents import CloningConfig, DQNConfig, DQNHParams
+from jaxdyna.agents.cloning import margin_loss
 from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs import MazeParams
 from jaxdyna.experiments.engine import Options, Overrides
 from jaxdyna.experiments.maze.frames import TUNED as FRAMES
 from jaxdyna.fields import LARGEST, SettingError, changed, setting
 from jaxdyna.models import PixelHParams
+from jaxdyna.planners import SearchConfig, ShootingConfig
+
+EVERY_ACTION = "MuZero's search, which looks at every action"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,6 +23,9 @@ class MazeOptions(Options):
     decided: ClassVar = {
         "dyna.num_episodes": "--episodes", "dyna.num_steps": "--steps",
         "hparams.env.max_steps": "--steps", "agent.network": "--network",
+        "mpc.discount": "--hparams.agent.discount", "mcts.discount": "--hparams.agent.discount",
+        "mcts.considered": EVERY_ACTION, "mcts.gumbel_scale": EVERY_ACTION,
+        "cloning.capacity": "--shown-episodes",
     }  # fmt: skip
 
     arms: tuple[str, ...] = setting(("model_free", "dyna"), "what is played", everyday=True)
@@ -46,6 +53,9 @@ class MazeOptions(Options):
         "own", "what a model is judged on: each real episode before it is trained on it, or the "
         "same transitions for all models",
     )  # fmt: skip
+    shown_episodes: int = setting(
+        10, "real episodes after the first N in which mpc_init is shown what to do", at_least=1
+    )
     dyna: DynaConfig = setting(factory=lambda: DynaConfig(
         num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
         model_updates=50, model_batch=32, rare_share=0.25, dream_episodes=400, dream_steps=5,
@@ -56,6 +66,11 @@ class MazeOptions(Options):
     hparams: DynaHParams = setting(factory=lambda: DynaHParams(
         DQNHParams(epsilon_hold=30.0, target_rate=0.02), PixelHParams(3e-3), MazeParams(),
     ))  # fmt: skip
+    mpc: ShootingConfig = setting(factory=lambda: ShootingConfig(5, 32, drift=1.0))
+    mcts: SearchConfig = setting(factory=lambda: SearchConfig(simulations=32))
+    cloning: CloningConfig = setting(
+        factory=lambda: CloningConfig(learning_rate=1e-3, loss=margin_loss, learns_too=True)
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -71,12 +86,13 @@ class MazeOptions(Options):
             )  # fmt: skip
 
     def resolved(self) -> Self:
-        """Episodes are so many steps."""
-        steps = self.steps
+        """Episodes are so many steps; planners discount as the agent does."""
+        steps, discount = self.steps, self.hparams.agent.discount
         return changed(self, {
             "dyna.num_episodes": self.episodes, "dyna.num_steps": steps,
             "dyna.dream_steps": min(self.dyna.dream_steps or steps, steps),
-            "hparams.env.max_steps": steps,
+            "hparams.env.max_steps": steps, "cloning.capacity": self.shown_episodes * steps,
+            "mpc.discount": discount, "mcts.discount": discount,
         })  # fmt: skip
 
 

@@ -226,6 +226,28 @@ def colours(names: Sequence[str]) -> list[str]:
     return own if len(set(own)) == len(own) else list(islice(cycle(COLOURS.values()), len(own)))
 
 
+def swept_map(
+    path: Path, sweep: Mapping[str, Sequence[Any]], values: Mapping[str, Sequence[float]], what: str
+) -> None:
+    """``what`` over a grid of two settings, a panel an arm, rows first; ``sweep`` has the settings'
+    values by dotted path.
+    """
+    (rows, row_values), (columns, column_values) = sweep.items()
+    size = (1.5 + (2.4 + 0.7 * len(column_values)) * len(values), 2.2 + 0.5 * len(row_values))
+    figure, panels = subplots(1, len(values), figsize=size, squeeze=False)
+    for panel, (name, numbers) in zip(panels.flat, values.items(), strict=True):
+        grid = np.reshape(numbers, (len(row_values), len(column_values)))
+        picture = panel.imshow(grid, cmap="viridis_r", aspect="auto")
+        for (row, column), value in np.ndenumerate(grid):
+            shade = "black" if value <= (grid.min() + grid.max()) / 2 else "white"
+            panel.text(column, row, f"{value:.0f}", ha="center", va="center", color=shade)
+        panel.set_xticks(range(len(column_values)), [str(value) for value in column_values])
+        panel.set_yticks(range(len(row_values)), [str(value) for value in row_values])
+        finish(panel, name, columns, rows, legend=False)
+        figure.colorbar(picture, ax=panel, label=what)
+    save(figure, path)
+
+
 def smoothing_window(curves: Iterable[np.ndarray]) -> int:
     """Episodes in the running mean of curves ``[seeds, episodes]``: 20 of 1,000, fewer of fewer."""
     return max(1, min(20, max(values.shape[1] for values in curves) // 50))

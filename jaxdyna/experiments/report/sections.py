@@ -121,22 +121,30 @@ def behaviour(
 
 
 def swept(record: Any) -> str:
-    """Returns with each swept value, or each with every other's, of the arms of which all have been
-    played; the table alone says it where there are more of them than colours.
+    """What was swept, of the arms of which every value has been played: returns for one field, a
+    map of episodes to solve for two; the table alone says more.
     """
-    sweep, arms = record.results["sweep"], grouped(record)
-    points = [", ".join(map(str, point)) for point in product(*sweep.values())]
-    panels = {
-        arm: {point: record.curves[name]["real_return"]
-              for point, name in zip(points, names.values(), strict=True)}
-        for arm, names in arms.items() if len(names) == len(points)
-    }  # fmt: skip
-    if not sweep or not panels or len(points) > len(plots.COLOURS):
+    sweep, arms, file = record.results["sweep"], grouped(record), record.out / "sweep.png"
+    points = list(product(*sweep.values()))
+    whole = {arm: list(names.values()) for arm, names in arms.items() if len(names) == len(points)}
+    if len(sweep) not in (1, 2) or not whole:
         return ""
-    window = plots.smoothing_window(one for lines in panels.values() for one in lines.values())
-    plots.bands(record.out / "sweep.png", panels, f"real episodes (running mean of {window})",
-                "return: mean of runs, 95% interval", window=window,
-                legend=", ".join(sweep))  # fmt: skip
+    if len(sweep) == 2:
+        solved = {
+            arm: [record.results["arms"][name]["episodes_to_solve"]["restricted_mean"]
+                  for name in names] for arm, names in whole.items()
+        }  # fmt: skip
+        plots.swept_map(file, sweep, solved, "episodes to solve, mean")
+    else:
+        panels = {
+            arm: {str(value): record.curves[name]["real_return"]
+                  for (value,), name in zip(points, names, strict=True)}
+            for arm, names in whole.items()
+        }  # fmt: skip
+        window = plots.smoothing_window(one for lines in panels.values() for one in lines.values())
+        plots.bands(file, panels, f"real episodes (running mean of {window})",
+                    "return: mean of runs, 95% interval", window=window,
+                    legend=next(iter(sweep)))  # fmt: skip
     return f"![swept: {', '.join(sweep)}](sweep.png)"
 
 
