@@ -85,8 +85,9 @@ def test_batches_episodes_and_repeats_are_the_same_game(env):
 
     keys = jax.random.split(jax.random.key(1), 2)
     both = jax.jit(jax.vmap(play))(jax.random.clone(keys))
+    one = jax.jit(play)
     for number in range(2):
-        alone = play(jax.random.clone(keys)[number])
+        alone = one(jax.random.clone(keys)[number])
         jax.tree.map(
             lambda many, one, at=number: np.testing.assert_array_equal(many[at], one), both, alone
         )

@@ -19,6 +19,8 @@ EXAMPLE = (jax.ShapeDtypeStruct((4,), np.float32), jax.ShapeDtypeStruct((), np.i
 LOGITS = policy_logits(2, ReinforceConfig(hidden=(8,)))
 CONFIG = CloningConfig(updates=60, batch=32, capacity=600, learning_rate=0.05)
 IMITATOR = cloning(AGENT, LOGITS, EXAMPLE, CONFIG)
+UPDATE, UPDATE_EXPERT = jax.jit(IMITATOR.update), jax.jit(IMITATOR.update_expert)
+OWN = jax.jit(AGENT.update)
 
 
 def lean_to(state, obs, key, hparams):
@@ -26,11 +28,21 @@ def lean_to(state, obs, key, hparams):
     return (obs[2] + obs[3] > 0).astype(jnp.int32)
 
 
-def shown(seed, episodes=8):
+@jax.jit
+def _shown(key):
     def act(obs, key):
         return lean_to(None, obs, key, None)
 
-    return rollout(ENV, act, jax.random.key(seed), ENV.default_params, episodes, num_steps=60)
+    return rollout(ENV, act, key, ENV.default_params, 8, num_steps=60)
+
+
+def shown(seed):
+    return _shown(jax.random.key(seed))
+
+
+@jax.jit
+def at_random(key):
+    return rollout(ENV, random_act, key, ENV.default_params, 4, num_steps=20)
 
 
 def test_losses_by_hand():
@@ -44,40 +56,40 @@ def test_losses_by_hand():
 
 def test_what_was_shown_is_imitated():
     state = IMITATOR.init(jax.random.key(0), ReinforceHParams())
-    update = jax.jit(IMITATOR.update_expert)
-    new, metrics = update(state, shown(1), jax.random.key(2), ReinforceHParams())
+    new, metrics = UPDATE_EXPERT(state, shown(1), jax.random.key(2), ReinforceHParams())
     assert jax.tree.structure(new) == jax.tree.structure(state)
     assert np.isfinite(metrics["loss"])
     seen = shown(3)
-    chosen = jax.vmap(jax.vmap(LOGITS, (None, 0)), (None, 0))(new.imitating, seen.obs)
+    choose = jax.jit(jax.vmap(jax.vmap(LOGITS, (None, 0)), (None, 0)))
+    chosen = choose(new.imitating, seen.obs)
     right = (chosen.argmax(-1) == seen.action)[seen.mask]
     assert right.mean() > 0.9
     assert new.shown.size == shown(1).mask.sum()
     assert_same(new.agent, state.agent)  # who shows may plan by what the agent has learned
     nothing = shown(1)._replace(mask=shown(1).mask * 0.0)
-    assert_same(update(state, nothing, jax.random.key(2), ReinforceHParams())[0], state)
+    assert_same(UPDATE_EXPERT(state, nothing, jax.random.key(2), ReinforceHParams())[0], state)
 
 
 def test_imitation_is_taken_over_when_the_agent_goes_on_by_itself():
     state = IMITATOR.init(jax.random.key(0), ReinforceHParams())
-    state, _ = IMITATOR.update_expert(state, shown(1), jax.random.key(2), ReinforceHParams())
+    state, _ = UPDATE_EXPERT(state, shown(1), jax.random.key(2), ReinforceHParams())
     obs = shown(3).obs[0, 5]
     action = IMITATOR.act(state, obs, jax.random.key(3), ReinforceHParams())
     imitating = state.agent.replace(params=state.imitating)
     assert action == AGENT.act(imitating, obs, jax.random.key(3), ReinforceHParams())
-    episodes = rollout(ENV, random_act, jax.random.key(4), ENV.default_params, 4, num_steps=20)
+    episodes = at_random(jax.random.key(4))
     for _ in range(2):  # once only: then the agent's own parameters count
-        expected, _ = AGENT.update(imitating, episodes, jax.random.key(5), ReinforceHParams())
-        state, _ = IMITATOR.update(state, episodes, jax.random.key(5), ReinforceHParams())
+        expected, _ = OWN(imitating, episodes, jax.random.key(5), ReinforceHParams())
+        state, _ = UPDATE(state, episodes, jax.random.key(5), ReinforceHParams())
         assert_close(state.agent, expected)
         imitating = expected
 
 
 def test_it_is_the_agent_in_everything_else():
     state = IMITATOR.init(jax.random.key(0), ReinforceHParams())
-    episodes = rollout(ENV, random_act, jax.random.key(1), ENV.default_params, 4, num_steps=20)
-    own, _ = AGENT.update(state.agent, episodes, jax.random.key(2), ReinforceHParams())
-    new, _ = IMITATOR.update(state, episodes, jax.random.key(2), ReinforceHParams())
+    episodes = at_random(jax.random.key(1))
+    own, _ = OWN(state.agent, episodes, jax.random.key(2), ReinforceHParams())
+    new, _ = UPDATE(state, episodes, jax.random.key(2), ReinforceHParams())
     assert_close(new.agent, own)
     assert_same(new.shown, state.shown)
     obs = episodes.obs[0, 0]

@@ -53,9 +53,14 @@ WORLDS = {
 }
 
 
+@jax.jit
+def play(key):
+    return rollout(ENV, random_act, key, ENV.default_params, 40, num_steps=60)
+
+
 @pytest.fixture(scope="module")
 def episodes():
-    return rollout(ENV, random_act, jax.random.key(1), ENV.default_params, 40, num_steps=60)
+    return play(jax.random.key(1))
 
 
 @pytest.mark.parametrize("world", WORLDS)
@@ -96,6 +101,7 @@ def test_agent_weighs_transitions(name, episodes):
     agent, hparams, key = AGENTS[name], ReinforceHParams(), jax.random.key(3)
     state = agent.init(jax.random.key(0), hparams)
 
+    @jax.jit
     def update(transitions):
         return agent.update(state, transitions, jax.random.clone(key), hparams)[0]
 
@@ -130,6 +136,7 @@ def test_model_ignores_what_is_masked(name, episodes):
     model, hparams, key = MODELS[name], SupervisedHParams(learning_rate=1e-3), jax.random.key(2)
     state = model.init(jax.random.key(0), hparams)
 
+    @jax.jit
     def update(transitions):
         return model.update(state, transitions, jax.random.clone(key), hparams)[0]
 
@@ -158,8 +165,8 @@ def test_model_learns_the_world(name, episodes):
 
     (state, _), losses = train(jax.random.key(4))
     assert losses[-1] < 0.5 * losses[0]
-    new = rollout(ENV, random_act, jax.random.key(5), ENV.default_params, 20, num_steps=60)
-    sums = one_step_sums(model.predict)(state.params, new, jax.random.key(6))
+    new = play(jax.random.key(5))
+    sums = jax.jit(one_step_sums(model.predict))(state.params, new, jax.random.key(6))
     assert sums["count"] == new.mask.sum() and sums["end_true"] == new.terminated.sum()
     target = "state" if name in ("paper", "scaled") else "change"
     explained = r_squared(

@@ -126,11 +126,12 @@ def test_frames_for_people():
 
 
 def test_the_oracle_is_the_best_that_search_finds():
+    solve = jax.jit(solve_maze, static_argnums=(0, 3))
     for env, steps in ((ENV, 60), (Maze(size=4, num_obstacles=6), 25)):
         for seed in range(4):
             params = MazeParams(max_steps=steps)
             _, state = env.reset(jax.random.key(seed), params)
-            plan = solve_maze(env, state, params, steps)
+            plan = solve(env, state, params, steps)
             assert plan.best_return == best_return(plain(state, steps, env.size), steps)
 
 
@@ -194,8 +195,10 @@ def test_it_plays_and_plans_in_double_precision():
         def act(obs, key):
             return jax.random.randint(key, (), 0, 5)
 
-        played = rollout(env, act, jax.random.key(0), params, 3, num_steps=6)
+        play = jax.jit(lambda key: rollout(env, act, key, params, 3, num_steps=6))
+        played = play(jax.random.key(0))
         assert played.reward.shape == (3, 6)
         _, start = maze.reset(jax.random.key(1), params)
         assert {leaf.dtype for leaf in jax.tree.leaves(start)} == {np.dtype(np.int32)}
-        assert solve_maze(maze, start, params, 6).action.shape == (6, 4, 4)
+        plan = jax.jit(lambda start: solve_maze(maze, start, params, 6))(start)
+        assert plan.action.shape == (6, 4, 4)

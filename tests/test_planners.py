@@ -2,7 +2,7 @@
 
 import sys
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import jax
@@ -186,7 +186,8 @@ def test_a_prior_decides_where_nothing_else_does():
         state = Place(jnp.int32(2), jnp.int32(0))
         few = {"muzero": muzero, "gumbel_muzero": gumbel_muzero}[name]
         planner = few(WORLD, SearchConfig(1, discount=DISCOUNT))
-        found = planner(CorridorParams(), WORLD.see(state), state, jax.random.key(0), prior)
+        plan = jax.jit(partial(planner, guide=prior))
+        found = plan(CorridorParams(), WORLD.see(state), state, jax.random.key(0))
         assert found.action == 1
 
 
@@ -254,25 +255,43 @@ def test_what_a_world_does_after_its_end_counts_for_nothing():
     assert values[0] == values[1]
 
 
+def from_the_middle(name):
+    """A decision, of a key."""
+    obs, state = WORLD.reset(jax.random.key(0), CorridorParams())
+    return lambda key: FEW[name](CorridorParams(), obs, state, key)
+
+
 @pytest.mark.parametrize("name", FEW)
-def test_jit_is_eager_and_vmap_is_a_loop(name):
-    planner, params = FEW[name], CorridorParams()
-    obs, state = WORLD.reset(jax.random.key(0), params)
-
-    def keys():
-        return jax.random.split(jax.random.key(1), 3)
-
-    batched = jax.vmap(lambda key: planner(params, obs, state, key))(keys())
-    jitted = jax.jit(lambda key: planner(params, obs, state, key))
-    for row in range(3):
-        one = jitted(keys()[row])
+def test_vmap_is_a_loop(name):
+    plan = from_the_middle(name)
+    batched = jax.jit(jax.vmap(plan))(jax.random.split(jax.random.key(1), 3))
+    jitted = jax.jit(plan)
+    for row, key in enumerate(jax.random.split(jax.random.key(1), 3)):
+        one = jitted(key)
         assert_close(jax.tree.map(lambda leaf, row=row: leaf[row], batched), one)
-    with jax.debug_key_reuse(False), jax.disable_jit():
-        assert_close(planner(params, obs, state, keys()[2]), one)
     assert one.action.dtype == jnp.int32 and one.action.shape == one.value.shape == ()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FEW)
+def test_jit_is_eager(name):
+    plan = from_the_middle(name)
+    compiled = jax.jit(plan)(jax.random.key(1))
+    with jax.debug_key_reuse(False), jax.disable_jit():
+        assert_close(plan(jax.random.key(1)), compiled)
+
+
 MAZE, SMALL = Maze(size=2, num_obstacles=1), MazeParams(max_steps=6)
+
+
+@cache
+def best_returns(episodes):
+    @jax.jit
+    def best(key):
+        starts = first_states(MAZE, key, SMALL, episodes)
+        return jax.vmap(lambda start: solve_maze(MAZE, start, SMALL, 6).best_return)(starts)
+
+    return best(jax.random.key(0))
 
 
 def share_of_oracle(planner, episodes=12):
@@ -286,10 +305,7 @@ def share_of_oracle(planner, episodes=12):
 
         return rollout(world, act, key, SMALL, episodes).reward.sum()
 
-    key = jax.random.key(0)
-    starts = first_states(MAZE, jax.random.clone(key), SMALL, episodes)
-    best = jax.vmap(lambda start: solve_maze(MAZE, start, SMALL, 6).best_return)(starts)
-    return float(play(key) / best.sum())
+    return float(play(jax.random.key(0)) / best_returns(episodes).sum())
 
 
 BUDGETS = {

@@ -10,16 +10,15 @@ from jaxdyna.agents import prioritized
 from jaxdyna.networks import GlimpseQ, glimpses
 from jaxdyna.types import Transition
 
-FRAME = (3, 3, 2)
+ADD, REPRIORITISE = jax.jit(prioritized.add), jax.jit(prioritized.reprioritise)
+DRAW = jax.jit(prioritized.draw_numbers, static_argnums=2)
 
 
-def episodes(count, steps, reward=0.0):
+def episodes(count, steps):
     shape = (count, steps)
-    frames = jnp.zeros((*shape, 3, 3, 8), jnp.uint8)
-    numbers, flags = jnp.full(shape, reward), jnp.zeros(shape, bool)
-    return Transition(
-        frames, jnp.zeros(shape, jnp.int32), numbers, frames, flags, flags, numbers + 1
-    )
+    frames = np.zeros((*shape, 3, 3, 8), np.uint8)
+    numbers, flags = np.zeros(shape, np.float32), np.zeros(shape, bool)
+    return Transition(frames, np.zeros(shape, np.int32), numbers, frames, flags, flags, numbers + 1)
 
 
 def empty(capacity=20):
@@ -28,18 +27,18 @@ def empty(capacity=20):
 
 
 def frequencies(held, count=20_000):
-    numbers, often = prioritized.draw_numbers(held, jax.random.key(0), (count,))
+    numbers, often = DRAW(held, jax.random.key(0), (count,))
     slots = np.asarray(numbers) % held.memory.capacity
     return np.bincount(slots, minlength=held.memory.capacity) / count, slots, np.asarray(often)
 
 
 def test_draws_are_in_proportion_and_say_how_often():
-    held = prioritized.add(empty(), episodes(2, 4))
+    held = ADD(empty(), episodes(2, 4))
     shares, _, often = frequencies(held)
     np.testing.assert_allclose(shares[:8], 1 / 8, atol=0.01)
     np.testing.assert_allclose(often, 1)
     errors, numbers = jnp.array([3.0, -1.0, 0.0]), jnp.array([0, 1, 2])
-    held = prioritized.reprioritise(held, numbers, errors, jnp.array([True, True, False]), 1.0)
+    held = REPRIORITISE(held, numbers, errors, jnp.array([True, True, False]), 1.0)
     shares, slots, often = frequencies(held)
     total = 3.001 + 1.001 + 6
     np.testing.assert_allclose(shares[:3], np.array([3.001, 1.001, 1]) / total, atol=0.01)
@@ -49,23 +48,23 @@ def test_draws_are_in_proportion_and_say_how_often():
 
 
 def test_what_is_new_comes_first_and_what_is_gone_never():
-    held = prioritized.add(empty(), episodes(2, 6))
+    held = ADD(empty(), episodes(2, 6))
     some = jnp.arange(12)
-    held = prioritized.reprioritise(held, some, 0.1 * some, some > 0, 1.0)
-    held = prioritized.add(held, episodes(1, 6))
+    held = REPRIORITISE(held, some, 0.1 * some, some > 0, 1.0)
+    held = ADD(held, episodes(1, 6))
     highest = held.priority.max()
     assert highest == pytest.approx(1.101) and (held.priority[12:18] == highest).all()
     assert (held.priority[18:] == 0).all()
-    held = prioritized.add(held, episodes(1, 6))  # 24 in a buffer of 20: four are overwritten
+    held = ADD(held, episodes(1, 6))  # 24 in a buffer of 20: four are overwritten
     assert (held.priority > 0).sum() == held.size < 20
     _, slots, _ = frequencies(held)
     assert set(slots) == set(np.flatnonzero(np.asarray(held.memory.held)))
 
 
 def test_an_exponent_of_zero_draws_uniformly():
-    held = prioritized.add(empty(), episodes(2, 4))
+    held = ADD(empty(), episodes(2, 4))
     some = jnp.arange(8)
-    held = prioritized.reprioritise(held, some, 10.0 * some, some >= 0, 0.0)
+    held = REPRIORITISE(held, some, 10.0 * some, some >= 0, 0.0)
     np.testing.assert_allclose(held.priority[:8], 1)
 
 

@@ -7,6 +7,10 @@ import pytest
 
 from jaxdyna import replay
 
+SAMPLE = jax.jit(replay.sample, static_argnums=2)
+DISTINCT = jax.jit(replay.sample_distinct, static_argnums=2)
+WEIGH = jax.jit(lambda buffer, marked, share: replay.share_weight(buffer.held, marked, share))
+
 
 def stored(buffer):
     return sorted(np.asarray(buffer.data["x"])[: int(buffer.size)].tolist())
@@ -33,7 +37,7 @@ def test_flattens_leading_axes_of_every_leaf():
 def test_samples_every_held_item_equally_and_nothing_else():
     buffer = replay.init(10, {"x": jnp.int32(0)})
     buffer = replay.add(buffer, {"x": jnp.arange(1, 5)}, jnp.ones(4, bool))
-    drawn = replay.sample(buffer, jax.random.key(0), (100, 80))["x"]
+    drawn = SAMPLE(buffer, jax.random.key(0), (100, 80))["x"]
     assert drawn.shape == (100, 80)
     counts = np.bincount(np.asarray(drawn).ravel(), minlength=6)
     assert counts[0] == counts[5] == 0
@@ -43,9 +47,9 @@ def test_samples_every_held_item_equally_and_nothing_else():
 def test_distinct_draws_repeat_nothing():
     buffer = replay.init(10, {"x": jnp.int32(0)})
     buffer = replay.add(buffer, {"x": jnp.arange(1, 8)}, jnp.ones(7, bool))
-    drawn = replay.sample_distinct(buffer, jax.random.key(0), 7)["x"]
+    drawn = DISTINCT(buffer, jax.random.key(0), 7)["x"]
     assert sorted(drawn.tolist()) == list(range(1, 8))
-    fewer = [replay.sample_distinct(buffer, jax.random.key(seed), 3)["x"] for seed in range(30)]
+    fewer = [DISTINCT(buffer, jax.random.key(seed), 3)["x"] for seed in range(30)]
     assert len({tuple(sorted(row.tolist())) for row in fewer}) > 10
 
 
@@ -54,9 +58,9 @@ def test_marked_items_get_their_share_of_the_draws():
     buffer = replay.add(buffer, {"x": jnp.arange(1000)}, jnp.ones(1000, bool))
 
     def draw(marked, share):
-        weight = replay.share_weight(buffer.held, jnp.asarray(marked), share)
+        weight = WEIGH(buffer, marked, share)
         np.testing.assert_allclose(weight.sum(), 1, rtol=1e-5)
-        return np.asarray(replay.sample(buffer, jax.random.key(0), (50, 200), weight)["x"])
+        return np.asarray(SAMPLE(buffer, jax.random.key(0), (50, 200), weight)["x"])
 
     rare = np.zeros(2000, bool)
     rare[[3, 700, 1500]] = True  # the last one is not held

@@ -1,9 +1,6 @@
 """``python -m jaxdyna.experiments.pong``"""
 
-import sys
-
-from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.pong import PARTS
+from jaxdyna.experiments.engine import main
 
-if __name__ == "__main__":
-    sys.exit(main(*PARTS))
+raise SystemExit(main(*PARTS))
