@@ -1,12 +1,13 @@
-"""What ``--help-all`` shows is what the command line takes."""
+"""What a command line says, up to the first run."""
 
 import importlib
 
 import pytest
 
 from jaxdyna import fields
-from jaxdyna.experiments.catch import CATCH
+from jaxdyna.experiments import cartpole, catch
 from jaxdyna.experiments.engine import Experiment, cli
+from jaxdyna.experiments.engine.session import prepared
 
 PROG = "python -m jaxdyna.experiments.it"
 PARTS = [
@@ -39,9 +40,34 @@ def test_every_setting_that_help_shows_can_be_typed(part):
 
 
 def test_an_optimiser_is_typed_by_its_name(capsys):
-    catch = CATCH.presets["tuned"]
+    tuned = catch.CATCH.presets["tuned"]
     for words in (["--agent.optimizer", "adamw"], ["--agent.optimizer=adamw"]):
-        assert cli.parse(catch, words, PROG).agent.optimizer.__name__ == "adamw"
+        assert cli.parse(tuned, words, PROG).agent.optimizer.__name__ == "adamw"
     with pytest.raises(SystemExit):
-        cli.parse(catch, ["--agent.optimizer", "lion"], PROG)
+        cli.parse(tuned, ["--agent.optimizer", "lion"], PROG)
     assert "--agent.optimizer is lion" in capsys.readouterr().err
+
+
+def test_every_shard_has_its_own_folder():
+    folders = [
+        prepared(catch.PARTS, [*shard, "--seeds", "4"], PROG).out
+        for shard in ([], ["--shard", "1/2"], ["--shard", "2/2"])
+    ]
+    assert len(set(folders)) == 3 and folders[2] == folders[0] / "parts" / "2-of-2"
+
+
+def test_swept_values_that_differ_have_names_that_do():
+    words = ["--sweep", "hparams.agent.learning_rate=0.12345678,0.12345679,0.1"]
+    session = prepared(catch.PARTS, words, PROG)
+    names = {entry.name for entry in session.every if entry.arm == "dyna"}
+    assert len(names) == 3 and "dyna@hparams.agent.learning_rate=0.1" in names
+
+
+def test_a_row_is_described_by_its_own_settings_and_none_is_swept_over_them():
+    words = ["--part", "levers", "--sweep", "dyna.model_updates=2,3"]
+    rows = {entry.name: entry.options.dyna for entry in prepared(cartpole.PARTS, words, PROG).every}
+    assert rows["N = 1@dyna.model_updates=3"].num_real_first == 1
+    assert rows["N = 1@dyna.model_updates=3"].model_updates == 3
+    words = ["--part", "levers", "--sweep", "dyna.num_real_first=2,50"]
+    arms = {entry.arm for entry in prepared(cartpole.PARTS, words, PROG).every}
+    assert "N = 1" not in arms and len(arms) > 3

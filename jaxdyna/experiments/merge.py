@@ -42,6 +42,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     call = cli.read(Call, argv, PROG)
     try:
+        if not call.folders or len({one.resolve() for one in call.folders}) < len(call.folders):
+            raise ValueError("give the folder of each shard, each of them once")
         shards = {folder: storage.read_json(folder / "results.json") for folder in call.folders}
         _check(shards, call.out)
         experiment, record = _merged(shards, f"{PROG} {shlex.join(argv)}", call.out)
@@ -69,7 +71,9 @@ def _check(shards: Mapping[Path, Results | None], out: Path) -> None:
             raise ValueError(f"--out {out} is one of the shards: choose another folder")
         for name in ALIKE:
             if results[name] != one[name]:
-                raise ValueError(f"{folder} has another {name} than {first}")
+                hint = " (the code of jaxdyna): play it again with the same"
+                raise ValueError(f"{folder} has another {name} than {first}"
+                                 f"{hint if name == 'source' else ''}")  # fmt: skip
         before, now = ({**said["config"], "arms": None} for said in (one, results))
         if paths := different(before, now):
             flags = ", ".join(f"--{path.replace('_', '-')}" for path in paths)
@@ -90,9 +94,10 @@ def _merged(shards: Shards, command: str, out: Path) -> tuple[Experiment, Record
     first, *_ = every = list(shards.values())
     experiment, options, sweep = recorded(first)
     spent = {
-        name: {part: sum(one["timing"]["arms"][name][part] for one in every) for part in seconds}
-        for name, seconds in first["timing"]["arms"].items()
-    }
+        name: {part: sum(one["timing"]["arms"].get(name, {}).get(part, 0.0) for one in every)
+               for part in seconds}
+        for one in every for name, seconds in one["timing"]["arms"].items()
+    }  # fmt: skip
     total_s = sum(one["timing"]["total_s"] for one in every)
     peaks = [peak for one in every if (peak := one["device"]["peak_memory_gib"]) is not None]
     kept = ("experiment", "part", "versions", "commit", "source", "sweep", *experiment.measures)
@@ -113,6 +118,9 @@ def _together(shards: Shards, arms: Sequence[str]) -> dict[str, Curves]:
     runs: dict[str, dict[int, Curves]] = {arm: {} for arm in arms}
     for folder, results in shards.items():
         curves = storage.read_curves(folder / "curves.npz")
+        if lacking := set(arms) - curves.keys():
+            said = ", ".join(sorted(lacking))
+            raise ValueError(f"{folder / 'curves.npz'} lacks {said}: copy or play it again")
         for row, seed in enumerate(results["runs"]["seeds"]):
             for arm in arms:
                 runs[arm][seed] = {

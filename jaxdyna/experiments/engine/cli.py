@@ -148,10 +148,15 @@ def _value(options: Any, leaf: Leaf, text: str) -> Any:
     return fields.value_at(fields.restored(options, {leaf.path: value}), leaf.path)
 
 
-def help_text(prog: str, parts: Sequence[str], default: Any, everything: bool) -> str:
+def help_text(
+    prog: str, parts: Sequence[str], presets: Sequence[str], default: Any, everything: bool
+) -> str:
     """What ``--help`` shows: the everyday settings; ``--help-all``: every one."""
     width = min(shutil.get_terminal_size((100, 24)).columns, 100)
-    lines = [f"usage: {prog} [--part {{{','.join(parts)}}}] [--FLAG VALUE ...]", ""]
+    lines = [
+        f"usage: {prog} [--part {{{','.join(parts)}}}] [--preset {{{','.join(presets)}}}] "
+        "[--FLAG VALUE ...]", "",
+    ]  # fmt: skip
     lines += textwrap.wrap(" ".join((type(default).__doc__ or "").split("\n\n")[0].split()), width)
     for title, leaves in (("call", list(fields.leaves(Call()))), ("settings", _shown(default))):
         lines += ["", f"{title}:"]
@@ -178,7 +183,7 @@ def _flag(leaf: Leaf, width: int) -> list[str]:
     words = [*leaf.choices, *(word for word in get_args(leaf.hint) if isinstance(word, str))]
     value = fields.plain(leaf.value)
     value = " ".join(map(str, value)) if isinstance(value, list) else value
-    value = f"  [{value}]" if value not in (None, "", False) else ""
+    value = "" if value is None or value is False or value == "" else f"  [{value}]"
     choice = f" {{{','.join(words)}}}" if words else ""
     head = f"  --{leaf.path.replace('_', '-')}{choice}{value}"
     return [head, *textwrap.wrap(leaf.help, width - 6, initial_indent=" " * 6,

@@ -152,9 +152,12 @@ class Study(NamedTuple):
     def made(self, options: Any, row: Overrides) -> Arm:
         """The arm of a row."""
         name = row.get("arm", self.arm)
+        return self.of.arms(fields.changed(self.setup(options, row), {"arms": (name,)}))[name]()
+
+    def setup(self, options: Any, row: Overrides) -> Any:
+        """The settings of a row, resolved."""
         overrides = {path: value for path, value in row.items() if path != "arm"}
-        setup = fields.changed(options, overrides | {"arms": (name,)}).resolved()
-        return self.of.arms(setup)[name]()
+        return fields.changed(options, overrides).resolved()
 
 
 class Entry(NamedTuple):
@@ -180,7 +183,8 @@ class Entry(NamedTuple):
 def entries(
     experiment: Experiment, options: Any, sweep: Mapping[str, Sequence[Any]]
 ) -> list[Entry]:
-    """Every entry that there can be, swept over a grid of settings.
+    """Every entry that there can be, swept over a grid of settings; not the rows of a study that
+    decide a swept setting themselves.
 
     Args:
         experiment: whose.
@@ -197,14 +201,19 @@ def entries(
         said = ", ".join(sweep)
         raise ValueError(f"--sweep {said}: runs would count as solved by several rules")
     tables = [experiment.arms(setup) for setup in setups]
+    study = experiment.study
     for name in dict.fromkeys(name for table in tables for name in table):
         arm, _, stage = name.partition("@")
         for point, setup, table in zip(grid, setups, tables, strict=True):
+            row = study.rows(setup).get(name, {}) if study else {}
+            if row.keys() & sweep.keys():
+                continue
             swept = ",".join(f"{path}={_said(value)}" for path, value in point.items())
             where = ",".join(part for part in (stage, swept) if part)
             full = f"{arm}@{where}" if where else arm
             if name in table:
-                made.append(Entry(full, arm, where or None, (arm, name, full), setup, table[name]))
+                own = study.setup(setup, row) if study else setup
+                made.append(Entry(full, arm, where or None, (arm, name, full), own, table[name]))
     return made
 
 
@@ -226,4 +235,5 @@ def chosen(every: Sequence[Entry], asked: Sequence[str]) -> list[Entry]:
 def _said(value: Any) -> str:
     if isinstance(value, tuple):
         return "x".join(map(_said, value))
-    return f"{value:g}" if isinstance(value, float) else str(fields.plain(value))
+    short = f"{value:g}" if isinstance(value, float) else str(fields.plain(value))
+    return repr(value) if isinstance(value, float) and float(short) != value else short

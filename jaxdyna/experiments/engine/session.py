@@ -94,7 +94,8 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     preset = call.preset or next(iter(experiment.presets))
     if len(asked) < len(argv):
         names = [part.name for part in parts]
-        print(cli.help_text(prog, names, default, everything="--help-all" in argv))
+        everything = "--help-all" in argv
+        print(cli.help_text(prog, names, [*experiment.presets], default, everything))
         raise SystemExit(0)
     if call.quick:
         default = fields.changed(default, {**experiment.quick.get(preset, {}), "quick": True})
@@ -105,9 +106,11 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     command = f"{prog} {shlex.join(word for word in argv if word != '--resume')}".strip()
     first = call.part is None or call.part == parts[0].name
     name = parts[0].name if first else f"{parts[0].name}-{experiment.name}"
-    out = call.out or Path("runs") / (f"{name}-{preset}" if first else name)
+    out, (number, of) = Path("runs") / (f"{name}-{preset}" if first else name), call.shards
+    if of > 1:
+        out = out / "parts" / f"{number}-of-{of}"
     return Session(
-        experiment, options, every, out, command, call.resume, call.shards, sweep,
+        experiment, options, every, call.out or out, command, call.resume, call.shards, sweep,
         family=parts[0].name,
     )  # fmt: skip
 
@@ -319,6 +322,9 @@ class Session:
         names = [name for name in (*ordered, *self.curves) if name in self.curves]
         self.curves = {name: self.curves[name] for name in dict.fromkeys(names)}
         timing = {"arms": self.timing, "total_s": self.earlier_s + time.perf_counter() - self.began}
+        made = storage.provenance(self.earlier)
+        if self.earlier and self.curves.keys() <= self.earlier["arms"].keys():
+            made = {name: self.earlier[name] for name in made}  # drawn anew, not played
         self.results = results_of(
             self.experiment,
             self.options,
@@ -328,7 +334,7 @@ class Session:
                 "experiment": self.family,
                 "part": self.experiment.name,
                 "command": self.command,
-                **storage.provenance(self.earlier),
+                **made,
                 "runs": {
                     "seeds": self.seeds, "of": self.options.seeds, "shard": list(self.shard),
                     "block": self.options.block,

@@ -9,6 +9,8 @@ import platform
 import shutil
 import subprocess
 import sys
+import zipfile
+import zlib
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -73,13 +75,20 @@ def write_curves(path: Path, arms: Mapping[str, Curves]) -> None:
 
 
 def read_curves(path: Path) -> dict[str, dict[str, np.ndarray]]:
-    """Reads what `write_curves` wrote; nothing where there is no file."""
+    """Reads what `write_curves` wrote; nothing where there is no file.
+
+    Raises:
+        ValueError: where the file is damaged.
+    """
     arms: dict[str, dict[str, np.ndarray]] = {}
     if path.exists():
-        with np.load(path) as stored:
-            for name in stored.files:
-                arm, _, array = name.rpartition("/")
-                arms.setdefault(arm, {})[array] = stored[name]
+        try:
+            with np.load(path) as stored:
+                for name in stored.files:
+                    arm, _, array = name.rpartition("/")
+                    arms.setdefault(arm, {})[array] = stored[name]
+        except (zipfile.BadZipFile, EOFError, OSError, zlib.error) as error:
+            raise ValueError(f"{path} is damaged ({error}): play it again") from error
     return arms
 
 

@@ -1,6 +1,6 @@
 """``python -m jaxdyna.experiments.pong``"""
 
-from jaxdyna.experiments.pong import PARTS
 from jaxdyna.experiments.engine import main
+from jaxdyna.experiments.pong import PARTS
 
 raise SystemExit(main(*PARTS))
