@@ -24,6 +24,10 @@ from jaxdyna.statistics import SolveRule
 
 RULE = SolveRule(50, 0.9)
 JUDGED = 200
+WRONG = {
+    "wrong_frames": "share of new frames predicted wrong",
+    "wrong_rewards": "share of new rewards predicted wrong (one in nine is not 0)",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +155,7 @@ CATCH = Experiment(
         report.solving(lambda options: RULE),
         report.learning_curves(lambda options: RULE, window=20),
         report.endings(lambda options: RULE),
-        report.behaviour({"wrong_frames": "share of new frames predicted wrong"}, 10),
+        report.behaviour(WRONG, 10),
         final, report.arms_said(study.SAID), report.settings, report.spent,
     ),
 )  # fmt: skip
