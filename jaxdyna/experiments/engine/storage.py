@@ -83,7 +83,7 @@ def read_curves(path: Path) -> dict[str, dict[str, np.ndarray]]:
     arms: dict[str, dict[str, np.ndarray]] = {}
     if path.exists():
         try:
-            with np.load(path) as stored:
+            with path.open("rb") as file, np.load(file) as stored:
                 for name in stored.files:
                     arm, _, array = name.rpartition("/")
                     arms.setdefault(arm, {})[array] = stored[name]

@@ -17,15 +17,13 @@ from jaxdyna.experiments.planning.budgets import Contender, Ground
 from jaxdyna.experiments.study import planners as guides
 from jaxdyna.experiments.study.arms import greedy
 from jaxdyna.fields import changed, check, setting
-from jaxdyna.planners import SearchConfig, ShootingConfig, muzero, random_shooting, solve_maze
+from jaxdyna.planners import ShootingConfig, muzero, random_shooting, solve_maze
 from jaxdyna.sweep import over_runs
 from jaxdyna.types import Key
 
 FAR = 1.5
 """Steps that shooting without a value looks ahead in the Maze, as a multiple of the way to the
 goal: a sequence with a drift towards the goal makes detours."""
-NEAR = 5
-"""Steps that it looks ahead there with one."""
 Grounds = Iterator[tuple[Ground, Iterator[Contender]]]
 
 
@@ -115,7 +113,7 @@ def maze_ground(key: Key, sizes: Sizes) -> Grounds:
 
 def maze_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Contender]:
     """Who is compared in the Maze."""
-    of, discount = partial(planner, dyna, options.hparams), options.hparams.agent.discount
+    of = partial(planner, dyna, options.hparams)
     ahead, values = int(FAR * 2 * (options.size - 1)), guides.by_values(agent_of(options))
 
     yield policy(dyna, greedy(options.hparams.agent))
@@ -123,10 +121,11 @@ def maze_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Contende
         far = ShootingConfig(ahead, count, drift=3.0)
         yield of("MPC to the goal", count * ahead, random_shooting, far)[0]
     for count in sizes.candidates:
-        near = ShootingConfig(NEAR, count, discount, drift=1.0)
-        yield from of("MPC, learned values", count * NEAR, random_shooting, near, lambda _: values)
+        near = replace(options.mpc, candidates=count)
+        steps = count * near.horizon
+        yield from of("MPC, learned values", steps, random_shooting, near, lambda _: values)
     for count in sizes.simulations:
-        search = SearchConfig(count, discount=discount)
+        search = replace(options.mcts, simulations=count)
         yield from of("MCTS, learned values", count, muzero, search, lambda _: values)
 
 
