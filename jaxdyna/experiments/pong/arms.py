@@ -20,7 +20,7 @@ from jaxdyna.experiments.study.frames import frame_dyna
 from jaxdyna.models import AdversarialHParams
 from jaxdyna.networks import ConvolutionalQ, PlaceQ, SignedReward
 from jaxdyna.rollout import rollout
-from jaxdyna.types import Key, Transition
+from jaxdyna.types import Environment, Key, Transition
 
 GREEDY_EPISODES, GAMES = 20, 5
 SAID = study.SAID | {
@@ -85,7 +85,7 @@ def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: Any) ->
     played = rollout(env, act, key, hparams.env, GREEDY_EPISODES, num_steps=config.num_steps)
     kept = {"greedy_return": played.reward.sum(-1)}
     if isinstance(hparams.env, AtariParams):
-        kept["game_score"] = rollout(env, act, key_games, env.default_params, GAMES).reward.sum(-1)
+        kept["game_score"] = scores(env, act, key_games, env.default_params)
     return kept
 
 
@@ -94,3 +94,22 @@ def show(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: Any) -> 
     act = study.greedy_policy(dyna, state, hparams)
     played = rollout(dyna.env, act, key, hparams.env, 1, num_steps=config.num_steps)
     return {"greedy": played.next_obs[0, ..., -3:]}
+
+
+def scores(env: Environment, act: Any, key: Key, env_params: Any, games: int = GAMES) -> jax.Array:
+    """Points won less points lost ``[games]`` in whole games by ``(obs, key) -> action``, side by
+    side until the last one is over: the emulator's limit is ten times as long.
+    """
+
+    def step(carry: Any) -> Any:
+        obs, state, score, _, key = carry
+        key, key_act, key_step = jax.random.split(key, 3)
+        obs, state, reward, ended, cut, _ = env.step(key_step, state, act(obs, key_act), env_params)
+        return obs, state, score + reward, ended | cut, key
+
+    def one(key_reset: Key, key: Key) -> jax.Array:
+        start = (*env.reset(key_reset, env_params), jnp.float32(0), False, key)
+        return jax.lax.while_loop(lambda now: ~now[3], step, start)[2]
+
+    key_reset, key_games = jax.random.split(key)
+    return jax.vmap(one)(jax.random.split(key_reset, games), jax.random.split(key_games, games))

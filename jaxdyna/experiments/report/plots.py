@@ -20,6 +20,8 @@ COLOURS = {
     "true_opponent": "#888888", "true_frames": "#d4a017", "max_updates": "#e07b9a",
 }  # fmt: skip
 MARK, FAINT = "#c0392b", "#888888"
+FEW = 5
+"""Points of a line that are marked: of one alone nothing would be seen."""
 FIG5 = {
     "truth": {"color": "#d08770", "linewidth": 3.0, "label": "real environment"},
     "one_step": {"color": "#0f7b6c", "linewidth": 1.2, "label": "model, one step ahead"},
@@ -99,7 +101,8 @@ def bands(
     for panel, (title, lines) in zip(drawn.flat, panels.items(), strict=False):
         for name, values in lines.items():
             shown = carried(running_mean(values, window)) if window else values
-            band(panel, shown, shades[name], name, at, marker="o" if dots else None,
+            marker = "o" if dots or shown.shape[1] <= FEW else None
+            band(panel, shown, shades[name], name, at, marker=marker,
                  markersize=5, markevery=(dots or {}).get(name))  # fmt: skip
         panel.set(**axes)
         finish(panel, title, x, legend=False)
