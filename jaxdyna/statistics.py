@@ -72,10 +72,39 @@ def episodes_to_solve(returns: np.ndarray, rule: SolveRule) -> np.ndarray:
     returns = np.asarray(returns, np.float64)
     if returns.shape[-1] < rule.window:
         return np.full(returns.shape[:-1], np.inf)
-    padded = np.concatenate([np.zeros((*returns.shape[:-1], 1)), returns.cumsum(-1)], axis=-1)
-    means = (padded[..., rule.window :] - padded[..., : -rule.window]) / rule.window
+    means = running_mean(returns, rule.window)[..., rule.window - 1 :]
     reached = means >= rule.level - 1e-9
     return np.where(reached.any(-1), reached.argmax(-1) + rule.window, np.inf)
+
+
+def running_mean(values: np.ndarray, window: int) -> np.ndarray:
+    """The mean of the last so many entries at each of them, of fewer at the start.
+
+    Args:
+        values: ``[..., episodes]``; after a NaN all is NaN.
+        window: entries.
+
+    Returns:
+        float64, the same shape.
+    """
+    padded = np.concatenate([np.zeros((*values.shape[:-1], 1)), values.cumsum(-1, np.float64)], -1)
+    ends = np.arange(1, values.shape[-1] + 1)
+    starts = np.maximum(ends - window, 0)
+    return (padded[..., ends] - padded[..., starts]) / (ends - starts)
+
+
+def carried(values: np.ndarray) -> np.ndarray:
+    """``[seeds, episodes]``, NaN after a run's end, with its last value there instead."""
+    last = np.maximum(np.isfinite(values).sum(-1) - 1, 0)
+    numbers = np.minimum(np.arange(values.shape[-1]), last[:, None])
+    return np.take_along_axis(values, numbers, axis=-1)
+
+
+def last_mean(values: np.ndarray, window: int) -> np.ndarray:
+    """The mean of each run's own last so many entries, ``[seeds]``, of ``[seeds, episodes]`` that
+    are NaN after a run's end.
+    """
+    return carried(running_mean(values, window))[:, -1]
 
 
 def steps_before(lengths: np.ndarray, first_solved: np.ndarray) -> np.ndarray:
@@ -163,6 +192,30 @@ def bootstrap_interval(
         return [None, None]
     index = np.random.default_rng(0).integers(0, len(values), (resamples, len(values)))
     return _interval(statistic(values[index]))
+
+
+def mean_of_runs(values: np.ndarray) -> Summary:
+    """One number a run, such as a final return.
+
+    Args:
+        values: ``[seeds]``; what is not finite is left out.
+
+    Returns:
+        ``mean``, ``ci95`` (bootstrap interval) and ``per_seed``, None of what is not finite.
+    """
+    known = values[np.isfinite(values)]
+    return {
+        "mean": float(known.mean()) if len(known) else None,
+        "ci95": bootstrap_interval(known, _row_means),
+        "per_seed": [_plain(value) for value in values],
+    }
+
+
+def mean_interval(values: np.ndarray, resamples: int = 400) -> np.ndarray:
+    """95% bootstrap intervals of the mean over seeds, each of ``[seeds, n]``: ``[2, n]``."""
+    generator = np.random.default_rng(0)
+    weights = generator.multinomial(len(values), np.full(len(values), 1 / len(values)), resamples)
+    return np.percentile(weights @ values / len(values), [2.5, 97.5], axis=0)
 
 
 def ratio_of_means(

@@ -14,13 +14,12 @@ from renamed import respelled
 
 from jaxdyna import frame_replay
 from jaxdyna.experiments.catch.frames import TUNED as CATCH
-from jaxdyna.experiments.engine import Record, main
+from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.engine.checkpoint import BlockStore
 from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.experiments.frames import grids, training
 from jaxdyna.experiments.frames.judging import counts, judge, show
 from jaxdyna.experiments.frames.options import Training
-from jaxdyna.experiments.frames.report import FrameReport
 from jaxdyna.experiments.frames.scores import f1, precision, recall, scored
 from jaxdyna.experiments.frames.worlds import Asked, Stage
 from jaxdyna.experiments.maze.frames import FRAMES, TUNED, MazeFrames
@@ -289,31 +288,6 @@ def test_a_model_of_catch_learns_its_rules():
     assert [kind["steps"] for kind in said["reward_right"].values()][2] == 20 * 8
     assert said["reward_right"]["neither"]["mean"] > 0.9
     assert said["reward_right"]["missed"]["mean"] > 0.4
-
-
-def described(lit, drawn):
-    def by_class(values):
-        one = {"mean": float(np.mean(values)), "per_seed": list(values)}
-        return dict.fromkeys(("agent", "obstacles", "goal"), one)
-
-    dreams = {"lit": {"10": {"f1": by_class(lit)}}, "drawn": {"10": {"f1": by_class(drawn)}}}
-    arm = {"arm": "lean", "setting": "100", "dreams": dreams}
-    return Record(TUNED, {"arms": {"lean@100": arm}}, {}, None)
-
-
-def test_the_report_claims_no_more_than_the_runs_show():
-    report = FrameReport(
-        about=str, classes=("agent", "obstacles", "goal"), moving="obstacles",
-        rules={"lit": "threshold", "drawn": "drawing"},
-    )  # fmt: skip
-    for lit, drawn, verdict in [
-        ([0.9, 0.8, 0.9], [0.7, 0.7, 0.6], "threshold drifts less"),
-        ([0.7, 0.7, 0.6], [0.9, 0.8, 0.9], "drawing drifts less"),
-        ([0.9, 0.5, 0.7], [0.7, 0.7, 0.7], "cannot be told apart"),
-        ([0.7, 0.7, 0.7], [0.7, 0.7, 0.7], "cannot be told apart"),
-        ([0.9], [0.7], "cannot be told apart"),
-    ]:
-        assert verdict in report.drift_said(described(lit, drawn))
 
 
 def test_a_trail_shows_the_newest_frame_brightest():

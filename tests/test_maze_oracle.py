@@ -5,9 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna import frame_replay
-from jaxdyna.envs import FrameStack, Maze, MazeParams
+from jaxdyna.envs import FrameStack, Maze, MazeParams, ReplayedParams
 from jaxdyna.experiments.maze.oracle import read_state, true_dream
-from jaxdyna.experiments.study.frames import ReplayedParams
 from jaxdyna.rollout import rollout
 
 MAZE = Maze(size=8, num_obstacles=4)
@@ -31,7 +30,7 @@ def test_the_state_is_read_off_the_frames():
     @jax.vmap
     def go_on(stack, action, key):
         key_read, key_step = jax.random.split(key)
-        state = read_state(MAZE, stack, key_read)
+        state = read_state(MAZE, stack, PARAMS, key_read)
         return MAZE.frame(state), MAZE.step(key_step, state, action, PARAMS)[0]
 
     now, after = jax.jit(go_on)(stacks, actions, keys)
@@ -45,7 +44,7 @@ def test_the_state_is_read_off_the_frames():
 def test_a_maze_without_obstacles_is_read_too():
     empty = Maze(size=4, num_obstacles=0)
     stack, state = FrameStack(empty).reset(jax.random.key(0), PARAMS)
-    read = jax.jit(lambda key: read_state(empty, stack, key))(jax.random.key(1))
+    read = jax.jit(lambda key: read_state(empty, stack, PARAMS, key))(jax.random.key(1))
     np.testing.assert_array_equal(read.agent, state.env.agent)
     assert read.obstacles.shape == (0, 2)
 

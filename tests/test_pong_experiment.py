@@ -2,6 +2,7 @@
 
 import json
 import sys
+from functools import partial
 from types import SimpleNamespace
 
 import jax
@@ -31,6 +32,7 @@ from jaxdyna.experiments.pong.world import (
 )
 from jaxdyna.experiments.report.sections import equal_episodes
 from jaxdyna.experiments.report.summaries import comparisons
+from jaxdyna.experiments.study.frames import draw_stack
 from jaxdyna.fields import changed
 from jaxdyna.networks import SignedReward
 from jaxdyna.statistics import summarise
@@ -142,7 +144,7 @@ def test_only_the_chosen_object_is_the_truth(played):
         return Prediction(dark, jnp.float32(7), jnp.float32(0), jnp.float32(0))
 
     def step(predict, truth):
-        env = Guided(FrameStack(GAME), predict=predict, truth=truth)
+        env = Guided(FrameStack(GAME), draw_stack, partial(read_state, GAME), predict, truth)
         params = GuidedParams(PARAMS.replace(max_steps=1), held)
 
         @jax.jit

@@ -9,6 +9,7 @@ from jaxdyna.envs.maze import Maze, MazeParams, MazeState
 from jaxdyna.envs.pong import Pong
 from jaxdyna.envs.pong_rules import PongParams, PongState
 from jaxdyna.envs.pong_screen import CHANNELS, ObjectMasks, Palette
+from jaxdyna.envs.replayed import Replayed, ReplayedParams
 from jaxdyna.envs.revealed import Revealed
 from jaxdyna.envs.stack import FrameStack, StackState
 
@@ -35,6 +36,8 @@ __all__ = [
     "Pong",
     "PongParams",
     "PongState",
+    "Replayed",
+    "ReplayedParams",
     "Revealed",
     "StackState",
     "register",

@@ -12,15 +12,14 @@ from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, Metrics
 from jaxdyna.envs import Catch, CatchParams, CatchState, FrameStack
 from jaxdyna.experiments.engine import Experiment, Options
 from jaxdyna.experiments.report import sections as report
-from jaxdyna.experiments.report.summaries import mean_of_runs
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
 from jaxdyna.experiments.study import arms as study
-from jaxdyna.experiments.study.frames import Replayed, frame_dyna
+from jaxdyna.experiments.study.frames import frame_dyna, true_dream
 from jaxdyna.fields import LARGEST, changed, setting
 from jaxdyna.models import PixelConfig, PixelHParams, pixels
 from jaxdyna.networks import GlimpseQ, JointReward, LocalDynamics
 from jaxdyna.rollout import rollout
-from jaxdyna.statistics import SolveRule
+from jaxdyna.statistics import SolveRule, mean_of_runs
 
 RULE = SolveRule(50, 0.9)
 JUDGED = 200
@@ -51,24 +50,18 @@ class CatchOptions(Options):
     columns: int = setting(5, "of the board", at_least=2)
     widths: tuple[int, ...] = setting((16, 16), "channels of the model's 3x3 convolutions",
                                       at_least=1)  # fmt: skip
-    dyna: DynaConfig = setting(
-        factory=lambda: DynaConfig(
-            num_episodes=LARGEST, num_steps=1, num_real_first=20, model_updates=20, model_batch=32,
-            dream_updates=1, dream_episodes=32, dream_steps=9, rare_share=0.5,
-        )
-    )  # fmt: skip
-    agent: DQNConfig = setting(
-        factory=lambda: DQNConfig(updates=10, fake_updates=40, fake_capacity=10_000, n_step=3)
-    )
-    hparams: DynaHParams = setting(
-        factory=lambda: DynaHParams(
-            agent=DQNHParams(
-                epsilon_hold=10.0, epsilon_episodes=40.0, discount=0.97, target_rate=0.02
-            ),
-            model=PixelHParams(1e-2),
-            env=CatchParams(),
-        )
-    )
+    dyna: DynaConfig = setting(factory=lambda: DynaConfig(
+        num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
+        num_real_first=20, model_updates=20, model_batch=32, dream_updates=1, dream_episodes=32,
+        dream_steps=9, rare_share=0.5,
+    ))  # fmt: skip
+    agent: DQNConfig = setting(factory=lambda: DQNConfig(
+        updates=10, fake_updates=40, fake_capacity=10_000, n_step=3,
+    ))  # fmt: skip
+    hparams: DynaHParams = setting(factory=lambda: DynaHParams(
+        DQNHParams(epsilon_hold=10.0, epsilon_episodes=40.0, discount=0.97, target_rate=0.02),
+        PixelHParams(1e-2), CatchParams(),
+    ))  # fmt: skip
 
     def resolved(self) -> Self:
         """Episodes last as long as the ball falls."""
@@ -97,24 +90,24 @@ def arms(options: CatchOptions) -> dict[str, study.Made]:
     agent = replace(study.sized(options.agent, options.dyna), network=GlimpseQ(game.num_actions))
     dyna = parts(game, agent, options.widths)
     return study.standard_arms(
-        dyna, options.dyna, options.hparams, true_dream(game),
+        dyna, options.dyna, options.hparams, oracle(game),
         study.Hooks(judge, piece=10, block=options.block),
         busier=parts(game, study.busy(agent), options.widths).agent,
     )  # fmt: skip
 
 
 @cache
-def true_dream(game: Catch) -> Dream:
+def oracle(game: Catch) -> Dream:
     """The oracle's dreams: the true game from any frames that a real episode has shown."""
 
-    def read(stack: jax.Array, key: jax.Array) -> CatchState:
+    def read(stack: jax.Array, params: CatchParams, key: jax.Array) -> CatchState:
         newest = stack[..., -3:] > 0
         row, column = jnp.unravel_index(jnp.argmax(newest[..., 0]), newest.shape[:2])
         paddle = jnp.argmax(newest[-1, :, 2])
         ball = jnp.stack([row, column]).astype(jnp.int32)
         return CatchState(ball, paddle.astype(jnp.int32), row.astype(jnp.int32))
 
-    return Replayed(FrameStack(game), read).dream
+    return true_dream(FrameStack(game), read)
 
 
 def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Any, hparams: Any) -> Metrics:

@@ -13,8 +13,8 @@ from jaxdyna.experiments.frames.scores import SCORES, f1, scored, used_threshold
 from jaxdyna.experiments.report import frames as pictures
 from jaxdyna.experiments.report import plots, sections
 from jaxdyna.experiments.report.sections import grouped, paragraphs
-from jaxdyna.experiments.report.summaries import Curves, mean_of_runs
-from jaxdyna.experiments.report.tables import Table, markdown_table, per_seed, with_interval
+from jaxdyna.experiments.report.summaries import Curves
+from jaxdyna.experiments.report.tables import Table, markdown_table, with_interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,6 @@ class FrameReport:
         stage: what an arm's stage is, over a column.
         scores: of `SCORES`, those that are shown.
         paper: by stage the paper's own figures of the first of them, by class.
-        moving: the class that the rules of dreams are compared by, by default the first.
         prefer: ``(options, stages) -> stage`` at which models are compared.
         filmed: models whose dreams are filmed, where there are any of them; all by default.
         rules: what the rules of `Asked` are called.
@@ -44,7 +43,6 @@ class FrameReport:
     stage: str = "episodes"
     scores: Sequence[str] = ("f1",)
     paper: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    moving: str | None = None
     prefer: Callable[[Any, list[str]], str] = lambda options, stages: stages[-1]
     filmed: Sequence[str] = ()
     rules: Mapping[str, str] = field(default_factory=lambda: {"lit": "threshold"})
@@ -124,7 +122,7 @@ class FrameReport:
             pictures.film(record.out / "dream.gif", {"truth": truth} | film)
         drawn = (
             " Frames are lit above the threshold, or each pixel is drawn with the probability that "
-            f"it is believed to be lit. {self.drift_said(record)}"
+            "it is believed to be lit."
         ) if len(self.rules) > 1 else ""  # fmt: skip
         return paragraphs(
             "## Dreams",
@@ -185,28 +183,6 @@ class FrameReport:
             for number, one in enumerate(self.classes)
         }
         plots.bands(path, panels, x, f"{y} on held-out episodes", ylim=(-0.02, 1.02), **more)
-
-    def drift_said(self, record: Record) -> str:
-        """Which of two rules drifts less, in words; dreams of a run begin alike, so that their
-        difference is paired.
-        """
-        said, (first, second), score = [], list(self.rules)[:2], self.scores[0]
-        one = self.moving or self.classes[0]
-        for arm, name in self.last(record).items():
-            dreams = record.results["arms"][name]["dreams"]
-            step = [step for step in dreams[first] if int(step) <= 10][-1]
-            a, b = (per_seed(dreams[rule][step][score][one]) for rule in (first, second))
-            apart = mean_of_runs(a - b)
-            low, high = (end or 0.0 for end in apart["ci95"] or (0.0, 0.0))
-            verdict = "they cannot be told apart"
-            if low * high > 0:
-                verdict = f"{self.rules[first if low > 0 else second]} drifts less"
-            said.append(
-                f"After {step} steps `{arm}` has {_called(score)} {a.mean():.3f} of {one} by "
-                f"{self.rules[first]} and {b.mean():.3f} by {self.rules[second]}, a difference of "
-                f"{with_interval(apart, 3)}: {verdict}."
-            )
-        return " ".join(said)
 
     def grid(self, record: Record, file: str, names: Mapping[str, str], said: str) -> str:
         """A step as each of some arms predicts it, a row an arm, by what the row is called."""

@@ -5,8 +5,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from jaxdyna.experiments.frames.judging import THRESHOLDS
-from jaxdyna.experiments.report.summaries import Curves, by_class, mean_of_runs
+from jaxdyna.experiments.report.summaries import Curves, by_class
 from jaxdyna.experiments.report.tables import Results
+from jaxdyna.statistics import mean_of_runs
 
 HORIZONS = (1, 2, 5, 10, 20, 30, 50)
 

@@ -15,9 +15,8 @@ from jaxdyna.experiments.maze.arms import SAID, STARTS, arms
 from jaxdyna.experiments.maze.options import LEAN, QUICK, TUNED, MazeOptions
 from jaxdyna.experiments.report import frames
 from jaxdyna.experiments.report import sections as report
-from jaxdyna.experiments.report.summaries import last_mean, mean_of_runs
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
-from jaxdyna.statistics import SolveRule, episodes_to_solve
+from jaxdyna.statistics import SolveRule, episodes_to_solve, last_mean, mean_of_runs
 
 RULE = SolveRule(50, 0.95, "oracle_return")
 PAPER = {"model_free": 700.0, "dyna": 250.0}

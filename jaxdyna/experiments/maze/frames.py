@@ -59,5 +59,4 @@ FRAMES = grids.experiment(
     classes=("agent", "obstacles", "goal"),
     kinds=("collision", "goal", "neither", "collision in the first step"),
     paper={"10": (0.83, 0.22, 0.97), "100": (0.92, 0.83, 0.99), "300": (0.98, 0.93, 1.0)},
-    moving="obstacles",
 )

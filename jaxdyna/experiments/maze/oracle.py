@@ -6,18 +6,18 @@ import jax
 import jax.numpy as jnp
 
 from jaxdyna.dyna import Dream
-from jaxdyna.envs import FrameStack, Maze, MazeState
-from jaxdyna.experiments.study.frames import Replayed
+from jaxdyna.envs import FrameStack, Maze, MazeParams, MazeState
+from jaxdyna.experiments.study import frames
 from jaxdyna.types import Key
 
 
 @cache
 def true_dream(maze: Maze) -> Dream:
     """The oracle's dreams."""
-    return Replayed(FrameStack(maze), partial(read_state, maze)).dream
+    return frames.true_dream(FrameStack(maze), partial(read_state, maze))
 
 
-def read_state(maze: Maze, stack: jax.Array, key: Key) -> MazeState:
+def read_state(maze: Maze, stack: jax.Array, params: MazeParams, key: Key) -> MazeState:
     """The state, at step 0, that a stack of frames ``[size, size, 3 * frames]`` shows, the newest
     last. The key draws what cannot be told: which way an obstacle goes at the start of an episode.
     Of obstacles that share a cell each takes the direction that explains the frames next best.

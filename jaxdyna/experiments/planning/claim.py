@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxdyna.experiments.report.summaries import mean_of_runs
 from jaxdyna.experiments.report.tables import Results, Table, with_interval
+from jaxdyna.statistics import mean_of_runs
 
 LATER = slice(50, 100)
 """Real episodes whose return is compared: after every imitation, and every run plays them."""

@@ -2,9 +2,8 @@
 of it for the oracle, one object where the question is which object's error does the harm.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -12,12 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from jaxdyna import frame_replay
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState
-from jaxdyna.envs import Pong, PongParams, PongState, StackState
+from jaxdyna.envs import Pong, PongParams, PongState, Replayed, ReplayedParams, StackState
 from jaxdyna.envs.pong_rules import BALL, FIELD, LEFT, PADDLE, RIGHT, first_state
 from jaxdyna.experiments.pong.world import NUM_FRAMES, OBJECTS, middles
-from jaxdyna.experiments.study.frames import Replayed, ReplayedParams
+from jaxdyna.experiments.study.frames import draw_stack
 from jaxdyna.models.evaluation import Predict
 from jaxdyna.types import Key
 
@@ -111,21 +109,13 @@ class Guided(Replayed):
     """A dream from any real stack of frames with the true game beside it.
 
     Attributes:
-        read: as `read_state`.
         predict: a model's ``predict``; None for the oracle, whose frames and rewards are the true
             game's.
         truth: channels of each frame that are the true game's.
     """
 
-    read: Callable[..., PongState] = read_state
     predict: Predict | None = None
     truth: tuple[int, ...] = ()
-
-    def reset(self, key: Key, params: Any) -> tuple[jax.Array, StackState]:
-        """Draws a real stack and reads the state off it."""
-        key_draw, key_read = jax.random.split(key)
-        obs = frame_replay.sample(params.start, key_draw, ()).obs
-        return obs, StackState(self.read(self.real.env, obs, params.env, key_read), obs)
 
     def step(
         self, key: Key, state: StackState, action: jax.Array, params: Any
@@ -153,4 +143,4 @@ def guided(dyna: Dyna, things: tuple[str, ...] = ()) -> Dream:
         return GuidedParams(hparams.env, state.replay, hparams.env.max_steps, weights)
 
     truth = tuple(OBJECTS[thing] for thing in things)
-    return Dream(Guided(env, predict=predict, truth=truth), params)
+    return Dream(Guided(env, draw_stack, partial(read_state, env.env), predict, truth), params)

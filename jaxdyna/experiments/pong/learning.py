@@ -8,9 +8,9 @@ from jaxdyna.experiments.pong.arms import GAMES, GREEDY_EPISODES, SAID, arms
 from jaxdyna.experiments.pong.options import LEAN, MAIN_ARMS, QUICK, TUNED, PongOptions
 from jaxdyna.experiments.report import frames, plots
 from jaxdyna.experiments.report import sections as report
-from jaxdyna.experiments.report.summaries import comparison, comparisons, mean_of_runs
+from jaxdyna.experiments.report.summaries import comparison, comparisons
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
-from jaxdyna.statistics import SolveRule
+from jaxdyna.statistics import SolveRule, mean_of_runs
 
 FILM_STEPS, SMOOTHED = 150, 10
 BASELINES = ("model_free", "max_updates", "more_updates")

@@ -38,24 +38,19 @@ class PongOptions(GameOptions):
     weight_decay: float = setting(0.3, "of AdamW, for our model", at_least=0)
     reward_weight: float = setting(5.0, "of the reward's error in the paper's models", at_least=0)
     paper_rate: float = setting(4e-3, "Adam's in the paper's models and the discriminator", above=0)
-    dyna: DynaConfig = setting(
-        factory=lambda: DynaConfig(
-            num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
-            num_real_first=20, model_updates=100, model_batch=64, rare_share=0.25,
-            dream_episodes=200, dream_steps=20,
-        )
-    )  # fmt: skip
-    agent: DQNConfig = setting(
-        factory=lambda: DQNConfig(updates=100, fake_updates=400, n_step=3, fake_capacity=40_000)
-    )
-    hparams: DynaHParams = setting(
-        factory=lambda: DynaHParams(
-            agent=DQNHParams(discount=0.97, epsilon_hold=20.0, epsilon_episodes=30.0,
-                             epsilon_last=0.02, epsilon_fake=0.1),
-            model=PixelHParams(2e-3),
-            env=RULES,
-        )
-    )  # fmt: skip
+    dyna: DynaConfig = setting(factory=lambda: DynaConfig(
+        num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
+        num_real_first=20, model_updates=100, model_batch=64, rare_share=0.25, dream_episodes=200,
+        dream_steps=20,
+    ))  # fmt: skip
+    agent: DQNConfig = setting(factory=lambda: DQNConfig(
+        updates=100, fake_updates=400, n_step=3, fake_capacity=40_000,
+    ))  # fmt: skip
+    hparams: DynaHParams = setting(factory=lambda: DynaHParams(
+        DQNHParams(discount=0.97, epsilon_hold=20.0, epsilon_episodes=30.0, epsilon_last=0.02,
+                   epsilon_fake=0.1),
+        PixelHParams(2e-3), RULES,
+    ))  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxdyna.experiments.report.summaries import carried, running_mean
+from jaxdyna.statistics import carried, mean_interval, running_mean
 
 COLOURS = {
     "model_free": "#4c566a", "dyna": "#0f7b6c", "placebo": "#b5651d", "oracle": "#6a4c93",
@@ -254,13 +254,6 @@ def swept_map(
 def smoothing_window(curves: Iterable[np.ndarray]) -> int:
     """Episodes in the running mean of curves ``[seeds, episodes]``: 20 of 1,000, fewer of fewer."""
     return max(1, min(20, max(values.shape[1] for values in curves) // 50))
-
-
-def mean_interval(values: np.ndarray, resamples: int = 400) -> np.ndarray:
-    """Bootstrap 95% interval of the mean over seeds of ``[seeds, n]``: ``[2, n]``."""
-    generator = np.random.default_rng(0)
-    weights = generator.multinomial(len(values), np.full(len(values), 1 / len(values)), resamples)
-    return np.percentile(weights @ values / len(values), [2.5, 97.5], axis=0)
 
 
 def subplots(

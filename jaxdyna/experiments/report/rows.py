@@ -7,8 +7,9 @@ import numpy as np
 
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.sections import paragraphs, told
-from jaxdyna.experiments.report.summaries import FIRST_DREAMS, mean_of_runs
+from jaxdyna.experiments.report.summaries import FIRST_DREAMS
 from jaxdyna.experiments.report.tables import Results, per_seed, whole
+from jaxdyna.statistics import mean_of_runs
 
 
 @told

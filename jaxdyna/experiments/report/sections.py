@@ -9,9 +9,9 @@ import numpy as np
 
 from jaxdyna import fields
 from jaxdyna.experiments.report import plots, tables
-from jaxdyna.experiments.report.summaries import HELD_EPISODES, comparisons, mean_of_runs
+from jaxdyna.experiments.report.summaries import HELD_EPISODES, comparisons
 from jaxdyna.experiments.report.tables import markdown_table, paragraphs, runs, with_interval
-from jaxdyna.statistics import SolveRule, episodes_to_solve
+from jaxdyna.statistics import SolveRule, episodes_to_solve, mean_of_runs
 
 Section = Callable[[Any], str]
 Rule = Callable[[Any], SolveRule]
@@ -150,22 +150,17 @@ def swept(record: Any) -> str:
 
 def distribution(record: Any) -> str:
     """Quantiles over the runs of the solving window's first episode."""
-
-    def quantiles(of: str) -> str:
-        rows = []
-        for name, arm in record.results["arms"].items():
-            at = np.percentile(tables.per_seed(arm[of]), [*QUANTILES, 100], method="inverted_cdf")
-            rows.append([name, *("never" if np.isinf(one) else f"{one:,.0f}" for one in at)])
-        return markdown_table(["arm", *(f"{percent}%" for percent in QUANTILES), "latest"], rows)
-
+    rows = []
+    for name, arm in record.results["arms"].items():
+        solved = tables.per_seed(arm["first_solved"])
+        at = np.percentile(solved, [*QUANTILES, 100], method="inverted_cdf")
+        rows.append([name, *("never" if np.isinf(one) else f"{one:,.0f}" for one in at)])
     return paragraphs(
         "## The whole distribution",
         "`first_solved`, the number of the solving window's first episode, in quantiles over the "
         "runs. The window forgives a few falls at its start, so that the policy may be found only "
         "some episodes later:",
-        quantiles("first_solved"),
-        "The first single episode at or above the threshold:",
-        quantiles("first_at_threshold"),
+        markdown_table(["arm", *(f"{percent}%" for percent in QUANTILES), "latest"], rows),
     )
 
 

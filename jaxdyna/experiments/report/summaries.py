@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxdyna import statistics
 from jaxdyna.experiments.report.tables import Results, interval, per_seed
-from jaxdyna.statistics import SolveRule, summarise
+from jaxdyna.statistics import SolveRule, last_mean, mean_of_runs, summarise
 
 Curves = Mapping[str, np.ndarray]
 FIRST_DREAMS = 100
@@ -45,38 +45,6 @@ def describe_arm(curves: Curves, rule: SolveRule, budget: int) -> Results:
         "solved_and_held": int((solved & (held >= rule.level)).sum()),
         "episodes_played": {"mean": float(played.mean()), "per_seed": played.tolist()},
         "solve_rule": str(rule),
-    }
-
-
-def last_mean(values: np.ndarray, window: int) -> np.ndarray:
-    """The mean of each run's own last entries, ``[runs]``, of ``[runs, episodes]`` that are NaN
-    after a run's end.
-    """
-    return carried(running_mean(values, window))[:, -1]
-
-
-def running_mean(values: np.ndarray, window: int) -> np.ndarray:
-    """Mean of the last ``window`` entries along the last axis, of fewer at the start."""
-    padded = np.concatenate([np.zeros((*values.shape[:-1], 1)), values.cumsum(-1, np.float64)], -1)
-    ends = np.arange(1, values.shape[-1] + 1)
-    starts = np.maximum(ends - window, 0)
-    return (padded[..., ends] - padded[..., starts]) / (ends - starts)
-
-
-def carried(values: np.ndarray) -> np.ndarray:
-    """``[seeds, episodes]`` in which a run that is over keeps its last value."""
-    last = np.maximum(np.isfinite(values).sum(-1) - 1, 0)
-    numbers = np.minimum(np.arange(values.shape[-1]), last[:, None])
-    return np.take_along_axis(values, numbers, axis=-1)
-
-
-def mean_of_runs(values: np.ndarray) -> Results:
-    """``mean``, ``ci95`` and ``per_seed`` of one number a run; None of what is not finite."""
-    known = values[np.isfinite(values)]
-    return {
-        "mean": float(known.mean()) if len(known) else None,
-        "ci95": statistics.bootstrap_interval(known, lambda rows: rows.mean(-1)),
-        "per_seed": [float(value) if np.isfinite(value) else None for value in values],
     }
 
 

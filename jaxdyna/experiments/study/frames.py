@@ -1,16 +1,14 @@
 """The parts of a Dyna run on stacked frames, the same for every world that is seen so."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
 from jaxdyna import frame_replay, memory
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, Metrics
-from jaxdyna.envs import FrameStack, StackState
+from jaxdyna.envs import FrameStack, Replayed, ReplayedParams
 from jaxdyna.frame_replay import FrameReplay
 from jaxdyna.models import LearnedEnvironment, LearnedParams, doubtful, probability_rule
 from jaxdyna.models.evaluation import frame_errors
@@ -46,64 +44,10 @@ def draw_stack(key: Key, held: FrameReplay) -> jax.Array:
     return frame_replay.sample(held, key, ()).obs
 
 
-@struct.dataclass
-class ReplayedParams:
-    """The environment's own, the real frames to begin at, and the longest episode."""
+def true_dream(env: FrameStack, read: Callable[[jax.Array, Any, Key], Any]) -> Dream:
+    """The oracle's dreams; ``read`` as of `jaxdyna.envs.Replayed`."""
 
-    env: Any
-    start: FrameReplay
-    max_steps: int | jax.Array = 200
+    def params(state: DynaState, hparams: DynaHParams) -> ReplayedParams:
+        return ReplayedParams(hparams.env, state.replay, hparams.env.max_steps)
 
-
-@dataclass(frozen=True)
-class Replayed:
-    """The true environment, its episodes beginning at any real stack of frames instead of the
-    start: the world of the oracle's dreams.
-
-    Attributes:
-        real: the environment, its frames stacked.
-        read: ``(stack, key) -> state`` of the environment itself; the key draws what the stack does
-            not show.
-    """
-
-    real: FrameStack
-    read: Callable[[jax.Array, Key], Any]
-
-    @property
-    def default_params(self) -> ReplayedParams:
-        """Without frames; fill in ``start``."""
-        return ReplayedParams(self.real.default_params, start=None)  # type: ignore[arg-type]
-
-    @property
-    def num_actions(self) -> int:
-        """The environment's."""
-        return self.real.num_actions
-
-    @property
-    def dream(self) -> Dream:
-        """The oracle's dreams."""
-
-        def params(state: DynaState, hparams: DynaHParams) -> ReplayedParams:
-            return ReplayedParams(hparams.env, state.replay, hparams.env.max_steps)
-
-        return Dream(self, params)
-
-    def reset(self, key: Key, params: ReplayedParams) -> tuple[jax.Array, StackState]:
-        """Draws a real stack and reads the state off it."""
-        key_draw, key_read = jax.random.split(key)
-        obs = draw_stack(key_draw, params.start)
-        return obs, StackState(self.read(obs, key_read), obs)
-
-    def step(
-        self, key: Key, state: StackState, action: jax.Array, params: ReplayedParams
-    ) -> tuple[jax.Array, StackState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
-        """The environment's."""
-        return self.real.step(key, state, action, params.env)
-
-    def observation_space(self, params: ReplayedParams) -> Any:
-        """The environment's."""
-        return self.real.observation_space(params.env)
-
-    def action_space(self, params: ReplayedParams) -> Any:
-        """The environment's."""
-        return self.real.action_space(params.env)
+    return Dream(Replayed(env, draw_stack, read), params)
