@@ -10,8 +10,11 @@ from parts import assert_same
 
 from jaxdyna import rollout
 from jaxdyna.envs import Catch, CatchParams, FrameStack
+from jaxdyna.experiments.catch.acting import TUNED, arms
+from jaxdyna.fields import changed
 from jaxdyna.models import PixelConfig, PixelHParams, pixels
 from jaxdyna.networks import LocalDynamics
+from jaxdyna.sweep import over_runs
 
 BOARDS = [(10, 5), (2, 1), (7, 4), (4, 9)]
 EPISODES = 12
@@ -235,3 +238,36 @@ def test_clear_errors():
         with pytest.raises(ValueError, match=words):
             Catch(**settings)
     assert hash(Catch()) == hash(Catch()) != hash(Catch(frames=True))
+
+
+def test_more_updates_learns_from_real_steps_alone():
+    """Whatever is dreamed, its policy is the same; and by dyna's values it is not."""
+    options = changed(TUNED, {
+        "rows": 4, "columns": 2, "episodes": 4, "widths": (4,), "dyna.num_real_first": 2,
+        "dyna.dream_steps": 2, "dyna.dream_episodes": 4, "dyna.model_updates": 1,
+        "agent.updates": 2, "agent.fake_updates": 2, "agent.batch": 4, "agent.fake_capacity": 64,
+    })  # fmt: skip
+    made = arms(options.resolved())
+
+    arm = made["more_updates"]()
+
+    def play(key, hparams):
+        def episode(number, state):
+            return arm.work.step(state, None, number, hparams)[0]
+
+        return jax.lax.fori_loop(0, 4, episode, arm.work.init(key, hparams))
+
+    together = jax.jit(over_runs(play, 1))
+
+    def policy(**changes):
+        hparams = jax.tree.map(lambda leaf: np.array([leaf]), arm.hparams.replace(**changes))
+        agent = together(jax.random.split(jax.random.key(0), 1), hparams).agent
+        return agent.params, int(agent.steps[0])
+
+    other, values = PixelHParams(1e-1), vars(made["dyna"]().hparams)
+    assert policy()[1] == 4 * 2 + 3 * 2
+    assert_same(policy(model=other, model_trains=True)[0], policy()[0])
+    ways = [policy(**values | changes) for changes in ({}, {"model": other})]
+    assert ways[0][1] == 4 * 2 + 3 * 2
+    dreamed = zip(*(jax.tree.leaves(params) for params, _ in ways), strict=True)
+    assert not all(bool((one == two).all()) for one, two in dreamed)

@@ -227,7 +227,7 @@ def test_it_finds_the_goal():
     env = FrameStack(Maze(size=SIZE, num_obstacles=0))
     params = MazeParams(max_steps=12)
     agent = make(
-        network=GlimpseQ(5, size=3, hidden=(64,)), updates=50, batch=32, capacity=2000, episodes=200
+        network=GlimpseQ(5, size=3, hidden=(64,)), updates=25, batch=32, capacity=2000, episodes=200
     )
     hparams = DQNHParams(
         epsilon_hold=40.0, epsilon_episodes=20.0, target_rate=0.02, reward_scale=1.0

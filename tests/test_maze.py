@@ -165,18 +165,18 @@ def test_a_horizon_shorter_than_the_plan_earns_nothing_after_it():
 
 
 def test_the_measured_means_of_the_rules():
-    """A random policy earns about -19.5, the oracle 167.8 (1,000 starts)."""
+    """A random policy earns about -19.5, the oracle 167.8 (of 1,000 starts)."""
 
     def act(obs, key):
         return jax.random.randint(key, (), 0, len(MOVES))
 
-    episodes = jax.jit(lambda key: rollout(ENV, act, key, PARAMS, 400))(jax.random.key(1))
+    episodes = jax.jit(lambda key: rollout(ENV, act, key, PARAMS, 200))(jax.random.key(1))
     assert -23 < episodes.reward.sum(1).mean() < -16
-    keys = jax.random.split(jax.random.key(2), 300)
+    keys = jax.random.split(jax.random.key(2), 100)
     best = jax.jit(
         jax.vmap(lambda key: solve_maze(ENV, ENV.reset(key, PARAMS)[1], PARAMS, 200).best_return)
     )(keys)
-    assert best.mean() == pytest.approx(167.8, abs=0.7)
+    assert best.mean() == pytest.approx(167.8, abs=1.2)
 
 
 def test_only_pictures_are_stacked():

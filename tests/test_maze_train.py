@@ -17,14 +17,12 @@ from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.experiments.maze import LEVERS, PARTS
 from jaxdyna.experiments.maze.acting import describe, replay
-from jaxdyna.experiments.maze.arms import agent_of, arms, behaviour
+from jaxdyna.experiments.maze.arms import agent_of, behaviour
 from jaxdyna.experiments.maze.options import LEAN, TUNED
 from jaxdyna.fields import changed
-from jaxdyna.models import PixelHParams
 from jaxdyna.planners import solve_maze
 from jaxdyna.rollout import first_states, rollout
 from jaxdyna.statistics import SolveRule, episodes_to_solve
-from jaxdyna.sweep import over_runs
 
 TINY = [*respelled(["maze", *tiny.MAZE])[1:], "--arms", "dyna"]
 
@@ -124,6 +122,7 @@ def test_solve_rule_by_hand():
         (["--mpc.discount", "1"], "--hparams.agent.discount"),
         (["--arms"], "--arms"),
         (["--steps", "30"], "30 steps away"),
+        (["--sweep", "dyna.dream_steps=5,500"], "other settings do not allow 500"),
         (["--episodes", "50"], "--dyna.num-real-first (N) is 100"),
         (["--size", "10", "--model", "paper"], "needs a larger one"),
         (["--hparams.agent.priority-exponent", "-1"], "--hparams.agent.priority-exponent"),
@@ -145,46 +144,6 @@ def test_replays_are_no_larger_than_a_run_can_fill():
     assert agent_of(tuned).fake_capacity >= tuned.dyna.dream_episodes * tuned.dyna.dream_steps
     many = changed(TUNED, {"dyna.dream_episodes": 5000, "dyna.dream_steps": 1}).resolved()
     assert agent_of(many).fake_episodes >= 5000
-
-
-def test_more_updates_learns_from_real_steps_alone():
-    """Whatever is dreamed, its policy is the same; and by dyna's values it is not. `max_updates`
-    makes dyna's late updates from the first episode on.
-    """
-    options = changed(LEAN, {
-        "size": 3, "obstacles": 1, "steps": 8, "episodes": 4, "model_widths": (4,),
-        "dyna.num_real_first": 2, "dyna.dream_steps": 2, "dyna.dream_episodes": 4,
-        "dyna.model_updates": 1, "agent.updates": 2, "agent.fake_updates": 2, "agent.batch": 4,
-        "agent.fake_capacity": 64,
-    })  # fmt: skip
-    made = arms(options.resolved())
-
-    def player(name):
-        arm = made[name]()
-
-        def play(key, hparams):
-            def episode(number, state):
-                return arm.work.step(state, None, number, hparams)[0]
-
-            return jax.lax.fori_loop(0, 4, episode, arm.work.init(key, hparams))
-
-        together = jax.jit(over_runs(play, 1))
-
-        def policy(**changes):
-            hparams = jax.tree.map(lambda leaf: np.array([leaf]), arm.hparams.replace(**changes))
-            agent = together(jax.random.split(jax.random.key(0), 1), hparams).agent
-            return agent.params, int(agent.steps[0])
-
-        return policy
-
-    other, values = PixelHParams(1e-1), vars(made["dyna"]().hparams)
-    more_updates, max_updates = map(player, ("more_updates", "max_updates"))
-    assert more_updates()[1] == 4 * 2 + 3 * 2 and max_updates()[1] == 4 * (2 + 2)
-    assert_same(more_updates(model=other, model_trains=True)[0], more_updates()[0])
-    ways = [more_updates(**values | changes) for changes in ({}, {"model": other})]
-    assert ways[0][1] == 4 * 2 + 3 * 2
-    dreamed = zip(*(jax.tree.leaves(params) for params, _ in ways), strict=True)
-    assert not all(bool((one == two).all()) for one, two in dreamed)
 
 
 def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatch):

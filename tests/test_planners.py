@@ -121,29 +121,36 @@ FEW = {
 
 
 @cache
-def decide(name, near=0.3, planners="all", guide=Guide()):
-    """Decisions of 8 keys from each cell that is no end, ``[cells, 8]``. Tree search with many
-    nodes is told what a random episode earns: knowing nothing it clings to what pays at once.
+def decide(name):
+    """From what the left end pays to decisions of 8 keys from each cell that is no end, ``[cells,
+    8]``. Tree search is told what a random episode earns: knowing nothing it clings to what pays at
+    once.
     """
-    planner = (PLANNERS if planners == "all" else FEW)[name]
-    if planners == "all" and name in SEARCHES:
-        params = CorridorParams(near, max_steps=100)
-        guide = Guide(value=rollout_value(WORLD, params, 20, DISCOUNT))
+
+    def guide(params):
+        told = rollout_value(WORLD, params, 20, DISCOUNT) if name in SEARCHES else None
+        return Guide(value=told)
+
+    return jax.jit(partial(_decisions, PLANNERS[name], guide))
+
+
+def _decisions(planner, guide, near):
+    params = CorridorParams(near, max_steps=100)
+    told = guide(params)
 
     def from_cell(cell, keys):
         state = Place(cell, jnp.int32(0))
-        params = CorridorParams(near, max_steps=100)
-        return jax.vmap(lambda key: planner(params, WORLD.see(state), state, key, guide))(keys)
+        return jax.vmap(lambda key: planner(params, WORLD.see(state), state, key, told))(keys)
 
     keys = jax.random.split(jax.random.key(0), (CELLS - 2, 8))
-    return jax.jit(jax.vmap(from_cell))(jnp.arange(1, CELLS - 1), keys)
+    return jax.vmap(from_cell)(jnp.arange(1, CELLS - 1), keys)
 
 
 @pytest.mark.parametrize("name", PLANNERS)
 @pytest.mark.parametrize("near", [0.3, 0.8])
 def test_the_corridor_is_solved_as_by_dynamic_programming(name, near):
     exact = corridor_values(near)[1:-1]
-    found = decide(name, near)
+    found = decide(name)(near)
     right = (np.asarray(found.action) == exact.argmax(1)[:, None]).mean()
     print(name, near, right)
     assert right >= (0.75 if name in SEARCHES else 1.0)  # a search clings to what paid first
@@ -157,7 +164,7 @@ def test_the_corridor_is_solved_as_by_dynamic_programming(name, near):
 
 @pytest.mark.parametrize("name", PLANNERS)
 def test_where_nothing_pays_on_the_way_all_find_the_far_end(name):
-    np.testing.assert_array_equal(decide(name, -0.5).action, 1)
+    np.testing.assert_array_equal(decide(name)(-0.5).action, 1)
 
 
 @pytest.mark.parametrize("name", FEW)
@@ -170,14 +177,10 @@ def test_a_value_makes_up_for_a_short_horizon(name):
         return best[state.cell]
 
     def right(guide):
-        actions = np.asarray(_decide_few(name, guide).action)
+        actions = np.asarray(jax.jit(partial(_decisions, FEW[name], lambda _: guide))(0.3).action)
         return (actions == exact[1:-1].argmax(1)[:, None]).mean()
 
     assert right(Guide()) < 0.9 < right(Guide(value=value))
-
-
-def _decide_few(name, guide):
-    return decide(name, planners="few", guide=guide)
 
 
 def test_a_prior_decides_where_nothing_else_does():

@@ -15,6 +15,7 @@ from jaxdyna.envs import CartPole, Maze
 from jaxdyna.experiments import planning
 from jaxdyna.experiments.cartpole import CARTPOLE
 from jaxdyna.experiments.cartpole.arms import arms as cartpole_arms
+from jaxdyna.experiments.cartpole.arms import parts as cartpole_parts
 from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.engine.session import Session
 from jaxdyna.experiments.maze import MAZE
@@ -70,7 +71,14 @@ def test_everybody_decides_by_what_each_run_has_learned():
     assert (returns[0] != other[0]).any() and (returns[1] != other[1]).any()
 
 
-FEW = ["--arms", "dyna"]
+def test_who_decides_in_cartpole():
+    options, sizes = CARTPOLE.presets["lean"].resolved(), grounds.Sizes(simulations=(4,))
+    found = grounds.cartpole_contenders(cartpole_parts(options), options, sizes)
+    assert [(one.who, one.world, one.steps) for one in found] == [
+        ("policy", "-", 0), ("MPC", "true", 8 * 30), ("MPC", "learned", 8 * 30),
+        ("MPC", "true", 32 * 30), ("MPC", "learned", 32 * 30),
+        ("MCTS", "true", 4 * 21), ("MCTS", "learned", 4 * 21),
+    ]  # fmt: skip
 
 
 def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_path, monkeypatch):
@@ -80,17 +88,19 @@ def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_
     def measured_again(*_):
         raise AssertionError
 
-    arguments = [*tiny.PLANNING, *FEW, "--out", str(tmp_path)]
+    def simple(key, sizes):
+        yield ground(2), [LEFT._replace(who="policy"), UPRIGHT._replace(who="MPC")]
+
+    arguments = [*tiny.PLANNING, "--arms", "model_free", "--out", str(tmp_path)]
     with monkeypatch.context() as patch:
         patch.setattr(Session, "_play", interrupted)
+        patch.setitem(deciding.GROUNDS, "cartpole", simple)
         assert play(*arguments) == 130
     monkeypatch.setattr(deciding, "measure", measured_again)
     assert play(*arguments, "--resume") == 0
     results = json.loads((tmp_path / "results.json").read_text())
-    assert [(row["who"], row["world"]) for row in results["budgets"]] == [
-        ("policy", "-"), ("MPC", "true"), ("MPC", "learned"), ("MCTS", "true"), ("MCTS", "learned")
-    ]  # fmt: skip
-    assert set(results["arms"]) == {"dyna"}
+    assert [row["label"] for row in results["budgets"]] == ["policy", "MPC (true world)"]
+    assert set(results["arms"]) == {"model_free"}
     text = (tmp_path / "report.md").read_text()
     assert "times the policy's" in text and "in the same episodes" in text
     for figure in ("decisions", "solved", "variants"):

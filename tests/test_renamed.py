@@ -46,6 +46,10 @@ def test_a_recorded_command_parses_to_its_own_settings(path):
             assert set(fields.plain(options.arms)) <= set(arms)
         for setting, value in expected.items():
             assert fields.plain(fields.value_at(options, setting)) == value, setting
+    today = [f"{PROG}{shlex.join(respelled(command))}" for command in typed]
+    if [shlex.split(said.removeprefix(PROG)) for said in today] != typed:
+        said = f"Typed today: `{' && '.join(today)}`"
+        assert said in path.with_name("report.md").read_text()
 
 
 @pytest.mark.parametrize("page", [*TEXTS, LAB_BOOK], ids=lambda page: page.parent.name)

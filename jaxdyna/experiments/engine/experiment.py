@@ -192,11 +192,15 @@ def entries(
         sweep: values by dotted path.
 
     Raises:
-        ValueError: where what is swept would change when a run counts as solved.
+        ValueError: where what is swept would change when a run counts as solved, or is not what a
+            run would be played with.
     """
     made: list[Entry] = []
     grid = [dict(zip(sweep, values, strict=True)) for values in product(*sweep.values())]
     setups = [fields.changed(options, point).resolved() for point in grid]
+    for point, setup in zip(grid, setups, strict=True):
+        if other := [path for path in point if fields.value_at(setup, path) != point[path]]:
+            raise ValueError(f"--sweep {other[0]}: other settings do not allow {point[other[0]]}")
     if experiment.rule and len({experiment.rule(setup) for setup in setups}) > 1:
         said = ", ".join(sweep)
         raise ValueError(f"--sweep {said}: runs would count as solved by several rules")
