@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxdyna import replay
 from jaxdyna.conditional import where_needed
 from jaxdyna.parts import Dream, Dyna, DynaState, Expert, Metrics
-from jaxdyna.rollout import first_states, rollout
+from jaxdyna.rollout import rollout
 from jaxdyna.settings import DynaConfig, DynaHParams
 from jaxdyna.types import Key, Transition
 
@@ -45,20 +45,17 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
     def init(key: Key, hparams: DynaHParams) -> DynaState:
         key, key_agent, key_model = jax.random.split(key, 3)
         agent = dyna.agent.init(key_agent, hparams.agent)
-        if dyna.model is None:
-            return DynaState(agent, None, None, None, key)
+        model = dyna.model and dyna.model.init(key_model, hparams.model)
+        if dyna.memory is None or not _remembers(dyna):
+            return DynaState(agent, model, None, None, key)
         episode = jax.eval_shape(lambda: play_real(dyna, config, agent, key, hparams))
-        example = jax.tree.map(
+        example, recorded = jax.tree.map(
             lambda leaf: jax.ShapeDtypeStruct(leaf.shape[2:], leaf.dtype), episode
         )
         capacity = config.replay_capacity or config.num_episodes * config.num_steps
-        return DynaState(
-            agent=agent,
-            model=dyna.model.init(key_model, hparams.model),
-            replay=dyna.memory.init(capacity, config.num_episodes, example),
-            starts=replay.init(config.num_episodes, example.obs),
-            key=key,
-        )
+        held = dyna.memory.init(capacity, config.num_episodes, example, recorded)
+        starts = replay.init(config.num_episodes, example.obs)
+        return DynaState(agent, model, held, starts, key)
 
     return init
 
@@ -90,16 +87,19 @@ def make_step(
         key, key_real, key_agent, key_model, key_dream = jax.random.split(state.key, 5)
         state = replace(state, key=key)
         dreaming = episode + 1 >= config.num_real_first
-        real = _play_episode(dyna, config, state, episode, key_real, hparams)
+        real, recorded = _play_episode(dyna, config, state, episode, key_real, hparams)
         agent, metrics = _learn_policy(dyna, config, state.agent, real, episode, key_agent, hparams)
         state = replace(state, agent=agent)
         if dyna.watch is not None:
-            begun = first_states(dyna.env, jax.random.clone(key_real), hparams.env, 1)
-            metrics |= dyna.watch(real, begun, hparams.env)
+            metrics |= dyna.watch(real, recorded, hparams.env)
         awake = real.terminated.any() if config.rest_when_safe else True
+        if _remembers(dyna):
+            state = _remember(dyna, config, state, real, recorded, episode)
         if dyna.model is not None:
             key_judge, key_sample, key_update = jax.random.split(key_model, 3)
-            state, judgement = _remember(dyna, config, state, real, episode, key_judge)
+            judgement = {}
+            if dyna.diagnose is not None:  # before the model learns from it
+                judgement = dyna.diagnose(state.model.params, real, key_judge)
             train = partial(train_model, dyna, config, state, key_sample, key_update, hparams)
             of_use = _model_is_of_use(dyna, config, episode)
             model, training = where_needed(of_use, awake, axes, train, state.model)
@@ -129,16 +129,34 @@ def make_train(
     return train
 
 
-def play_real(dyna, config, agent, key, hparams) -> Transition:
-    """One real episode ``[1, T]`` of the agent."""
+def play_real(
+    dyna: Dyna, config: DynaConfig, agent: Any, key: Key, hparams: DynaHParams
+) -> tuple[Transition, Any]:
+    """One real episode of the agent.
 
-    def act(obs, key):
+    Args:
+        dyna: the parts.
+        config: its counts.
+        agent: the agent's state.
+        key: random key.
+        hparams: its values.
+
+    Returns:
+        The episode ``[1, T]``, and what was recorded of it (`Dyna.record`).
+    """
+
+    def act(obs: jax.Array, key: Key) -> jax.Array:
         return dyna.agent.act(agent, obs, key, hparams.agent)
 
-    return rollout(dyna.env, act, key, hparams.env, 1, num_steps=config.num_steps)
+    return _real(dyna, config, act, key, hparams)
 
 
-def _play_episode(dyna, config, state, episode, key, hparams) -> Transition:
+def _real(dyna, config, act, key, hparams) -> tuple[Transition, Any]:
+    record, steps = dyna.record or (lambda *step: ()), config.num_steps
+    return rollout(dyna.env, act, key, hparams.env, 1, num_steps=steps, record=record)
+
+
+def _play_episode(dyna, config, state, episode, key, hparams) -> tuple[Transition, Any]:
     """One real episode ``[1, T]`` of the agent, or of the expert where it is the expert's."""
     if dyna.expert is None:
         return play_real(dyna, config, state.agent, key, hparams)
@@ -151,7 +169,7 @@ def _play_episode(dyna, config, state, episode, key, hparams) -> Transition:
             lambda: dyna.agent.act(state.agent, obs, key, hparams.agent).astype(jnp.int32),
         )
 
-    return rollout(dyna.env, act, key, hparams.env, 1, num_steps=config.num_steps)
+    return _real(dyna, config, act, key, hparams)
 
 
 def _model_is_of_use(dyna, config, episode) -> jax.Array | bool:
@@ -166,7 +184,7 @@ def _learn_policy(dyna, config, agent, real, episode, key, hparams) -> tuple[Any
     if dyna.dream is not None:
         first = jnp.maximum(max(config.num_real_first, 1), hparams.num_real_first)
         weight = jnp.where(episode >= first, hparams.real_weight, 1.0)
-        weighted = real._replace(mask=real.mask * weight)
+        weighted = real._replace(weight=jnp.full(real.mask.shape, weight))
 
     def learn(update):
         new, losses = update(agent, weighted, key, hparams.agent)
@@ -181,33 +199,57 @@ def _learn_policy(dyna, config, agent, real, episode, key, hparams) -> tuple[Any
     return agent, {"agent_loss": loss} | _summary("real", real)
 
 
-def _remember(dyna, config, state, real, episode, key) -> tuple[DynaState, Metrics]:
-    """Judges the model on the new episode, then stores it."""
-    metrics = {}
-    if dyna.diagnose is not None:
-        metrics = dyna.diagnose(state.model.params, real, key)
+def _remembers(dyna: Dyna) -> bool:
+    """Whether the run keeps its real transitions itself: somebody asks for them, and the agent's
+    own do not serve.
+    """
+    asked = dyna.model is not None or dyna.dream is not None
+    return asked and dyna.memory is not None and dyna.memory.shared is None
+
+
+def _remember(dyna, config, state, real, recorded, episode) -> DynaState:
+    """With the new episode."""
     held = state.replay
     if config.forget_every:
         held = dyna.memory.forget(held, episode % config.forget_every == 0)
-    held = dyna.memory.add(held, real)
+    held = dyna.memory.add(held, real, recorded)
     starts = replay.add(state.starts, real.obs[:, 0], real.mask[:, 0])
-    return replace(state, replay=held, starts=starts), metrics
+    return replace(state, replay=held, starts=starts)
 
 
-def train_model(dyna, config, state, key_sample, key_update, hparams) -> tuple[Any, Metrics]:
-    """Gradient steps on all that is stored, each batch (of frames a large one) taken in its turn;
-    returns the model's new state.
+def train_model(
+    dyna: Dyna,
+    config: DynaConfig,
+    state: DynaState,
+    key_sample: Key,
+    key_update: Key,
+    hparams: DynaHParams,
+) -> tuple[Any, Metrics]:
+    """Gradient steps of the model on all that is remembered, each batch (of frames a large one)
+    taken in its turn.
+
+    Args:
+        dyna: the parts, a model and a memory among them.
+        config: its counts.
+        state: the run's, of which the model's state and the memory count.
+        key_sample: random key of the batches.
+        key_update: random key of the model's updates.
+        hparams: its values.
+
+    Returns:
+        The model's new state, and ``model_loss``, the mean of all steps.
     """
-    shape = (config.model_updates, config.model_batch)
+    memory: Any = dyna.memory
+    shape, held = (config.model_updates, config.model_batch), memory.of(state)
 
     def update(carry, numbers):
         model, key = carry
         key, key_now = jax.random.split(key)
-        batch = dyna.memory.take(state.replay, numbers)
+        batch = memory.take(held, numbers)
         model, losses = dyna.model.update(model, batch, key_now, hparams.model)
         return (model, key), losses
 
-    drawn = dyna.memory.draw(state.replay, key_sample, shape, config.rare_share)
+    drawn = memory.draw(held, key_sample, shape, config.rare_share)
     (model, _), losses = jax.lax.scan(update, (state.model, key_update), drawn)
     loss = losses["loss"].mean() if config.model_updates else jnp.float32(0)
     model = jax.tree.map(
@@ -216,14 +258,29 @@ def train_model(dyna, config, state, key_sample, key_update, hparams) -> tuple[A
     return model, {"model_loss": loss}
 
 
-def play_dreams(dyna, config, agent, env_params, key, hparams) -> Transition:
-    """Fake episodes ``[N, T]`` to learn from once."""
+def play_dreams(
+    dyna: Dyna, config: DynaConfig, agent: Any, env_params: Any, key: Key, hparams: DynaHParams
+) -> Transition:
+    """Fake episodes to learn from once.
+
+    Args:
+        dyna: the parts, a dream among them.
+        config: its counts.
+        agent: the agent's state.
+        env_params: of the dream's environment, see `Dream.params`.
+        key: random key.
+        hparams: its values.
+
+    Returns:
+        ``[N, T, ...]``.
+    """
     fake_act = dyna.agent.act_fake or dyna.agent.act
 
-    def act(obs, key):
+    def act(obs: jax.Array, key: Key) -> jax.Array:
         return fake_act(agent, obs, key, hparams.agent)
 
     steps = config.dream_steps or config.num_steps
+    assert dyna.dream is not None
     return rollout(dyna.dream.env, act, key, env_params, config.dream_episodes, num_steps=steps)
 
 
@@ -236,7 +293,7 @@ def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metri
 
     def update(agent, key_play, key_update):
         fake = play_dreams(dyna, config, agent, env_params, key_play, hparams)
-        weighted = fake._replace(mask=fake.mask * weight)
+        weighted = fake._replace(weight=jnp.full(fake.mask.shape, weight))
         agent, _ = learn(agent, weighted, key_update, hparams.agent)
         return (agent, ~fake.terminated.any()), _summary("fake", fake)
 
@@ -256,6 +313,6 @@ def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metri
 def _summary(name: str, transitions: Transition) -> Metrics:
     """Mean undiscounted return and length of the episodes."""
     return {
-        f"{name}_return": (transitions.reward * transitions.mask).sum(-1).mean(),
+        f"{name}_return": jnp.where(transitions.mask, transitions.reward, 0).sum(-1).mean(),
         f"{name}_length": transitions.mask.sum(-1).astype(jnp.float32).mean(),
     }

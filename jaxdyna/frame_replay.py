@@ -28,8 +28,8 @@ class FrameReplay:
 
     Attributes:
         frame: the newest frame of ``obs``, ``[capacity, H, W, C]``, in the frames' own type.
-        rest: everything else of a transition: action, reward, terminated, truncated, mask (a
-            weight where it is a float), ``[capacity]``.
+        rest: everything else of a transition: action, reward, terminated, truncated, mask and,
+            where it has one, weight, ``[capacity]``.
         time: int32 ``[capacity]``, steps since the episode began.
         episode: int32 ``[capacity]``, its number.
         older: the frames under each episode's first, ``[episodes, H, W, C * (num_frames - 1)]``.
@@ -37,6 +37,8 @@ class FrameReplay:
         added: int32, transitions ever added.
         episodes_added: int32, episodes ever added.
         first: int32 ``[episodes]``, number of each episode's first transition.
+        beside: what else is kept of a transition, such as the environment's state; leaves
+            ``[capacity, ...]``.
         num_frames: frames in a stack; not an array.
     """
 
@@ -49,6 +51,7 @@ class FrameReplay:
     added: jax.Array
     episodes_added: jax.Array
     first: jax.Array
+    beside: Any
     num_frames: int = struct.field(pytree_node=False)
 
     @property
@@ -81,7 +84,9 @@ class FrameReplay:
         return newest - (newest - position) % self.capacity
 
 
-def init(capacity: int, episodes: int, example: Transition, num_frames: int = 4) -> FrameReplay:
+def init(
+    capacity: int, episodes: int, example: Transition, num_frames: int = 4, beside: Any = ()
+) -> FrameReplay:
     """An empty buffer.
 
     Args:
@@ -91,6 +96,7 @@ def init(capacity: int, episodes: int, example: Transition, num_frames: int = 4)
         example: one transition: arrays, or anything with ``shape`` and ``dtype``; ``obs`` is
             ``[H, W, C * num_frames]``.
         num_frames: frames in a stack.
+        beside: what else is kept of one transition, likewise.
 
     Raises:
         ValueError: where a count is not positive or the channels do not divide into frames.
@@ -109,10 +115,9 @@ def init(capacity: int, episodes: int, example: Transition, num_frames: int = 4)
     def frames(count: int, deep: int = 1) -> jax.Array:
         return jnp.zeros((count, height, width, channels * deep), example.obs.dtype)
 
-    rest = {
-        name: jnp.zeros((capacity, *leaf.shape), leaf.dtype)
-        for name, leaf in _rest(example).items()
-    }
+    rest, more = jax.tree.map(
+        lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), (_rest(example), beside)
+    )
     numbers, none = jnp.zeros(capacity, jnp.int32), jnp.int32(0)
     return FrameReplay(
         frame=frames(capacity),
@@ -124,6 +129,7 @@ def init(capacity: int, episodes: int, example: Transition, num_frames: int = 4)
         added=none,
         episodes_added=none,
         first=jnp.zeros(episodes, jnp.int32),
+        beside=more,
         num_frames=num_frames,
     )
 
@@ -134,10 +140,10 @@ def bytes_per_transition(replay: FrameReplay) -> float:
     return total / replay.capacity
 
 
-def add(replay: FrameReplay, episodes: Transition) -> FrameReplay:
-    """Adds whole episodes ``[N, T]``, as `jaxdyna.rollout` returns them, one after the other; the
-    oldest transitions held make room. An episode is valid up to where its mask (or weight) is
-    above zero for the last time.
+def add(replay: FrameReplay, episodes: Transition, beside: Any = ()) -> FrameReplay:
+    """Adds whole episodes ``[N, T]``, as `jaxdyna.rollout` returns them, one after the other, and
+    what else is kept of their steps, leaves ``[N, T, ...]``; the oldest transitions held make room.
+    An episode lasts up to where its mask is true for the last time.
 
     Raises:
         ValueError: where more could come at once than the buffer holds.
@@ -149,7 +155,7 @@ def add(replay: FrameReplay, episodes: Transition) -> FrameReplay:
             f"transitions and {replay.last_frame.shape[0]} episodes"
         )
     channels = replay.frame.shape[-1]
-    lengths = ((episodes.mask > 0) * jnp.arange(1, steps + 1)).max(1)
+    lengths = (episodes.mask * jnp.arange(1, steps + 1)).max(1)
     mask = (jnp.arange(steps) < lengths[:, None]).reshape(-1)
     number = replay.added + jnp.cumsum(mask) - 1
     slot = jnp.where(mask, number % replay.capacity, replay.capacity)  # out of bounds: dropped
@@ -171,6 +177,7 @@ def add(replay: FrameReplay, episodes: Transition) -> FrameReplay:
         added=replay.added + mask.sum(dtype=jnp.int32),
         episodes_added=replay.episodes_added + count,
         first=replay.first.at[row].set(replay.added + jnp.cumsum(lengths) - lengths),
+        beside=jax.tree.map(write, replay.beside, beside),
     )
 
 
@@ -180,7 +187,7 @@ def sample(
     """Draws transitions with replacement and rebuilds their stacks.
 
     Args:
-        replay: a buffer; check ``size``, an empty one yields zeros with ``mask`` zero.
+        replay: a buffer; check ``size``, an empty one yields zeros with ``mask`` False.
         key: random key.
         shape: how many, as leading axes.
         weight: ``[capacity]``, what each position's probability is in proportion to, as
@@ -216,8 +223,13 @@ def take(replay: FrameReplay, number: jax.Array) -> Transition:
     stacked = _stack(jnp.concatenate([frames, after[..., None, :, :, :]], axis=-4))
     channels = after.shape[-1]
     rest = {name: leaf[slot] for name, leaf in replay.rest.items()}
-    rest["mask"] = jnp.where(replay.size > 0, rest["mask"], 0).astype(rest["mask"].dtype)
+    rest["mask"] = rest["mask"] & (replay.size > 0)
     return Transition(obs=stacked[..., :-channels], next_obs=stacked[..., channels:], **rest)
+
+
+def take_beside(replay: FrameReplay, number: jax.Array) -> Any:
+    """What else is kept of the transitions of these numbers, leaves ``[..., ...]``."""
+    return jax.tree.map(lambda leaf: leaf[number % replay.capacity], replay.beside)
 
 
 def _frames_of(
@@ -248,5 +260,5 @@ def _stack(frames: jax.Array) -> jax.Array:
 
 
 def _rest(transitions: Transition) -> dict[str, Any]:
-    names = ("action", "reward", "terminated", "truncated", "mask")
-    return {name: getattr(transitions, name) for name in names}
+    rest = transitions._asdict()
+    return {name: leaf for name, leaf in rest.items() if leaf is not None and "obs" not in name}

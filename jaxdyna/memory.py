@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +18,8 @@ from jaxdyna.types import Key, Memory, Transition
 def transitions() -> Memory:
     """`jaxdyna.replay`; rare are transitions that ended an episode."""
 
-    def start(capacity: int, episodes: int, example: Transition) -> Replay:
-        del episodes
+    def start(capacity: int, episodes: int, example: Transition, recorded: Any) -> Replay:
+        del episodes, recorded
         return replay.init(capacity, example)
 
     def draw_some(
@@ -32,22 +33,34 @@ def transitions() -> Memory:
     def forget(held: Replay, when: jax.Array) -> Replay:
         return replace(held, added=jnp.where(when, 0, held.added))
 
-    def put(held: Replay, new: Transition) -> Replay:
+    def put(held: Replay, new: Transition, recorded: Any) -> Replay:
+        del recorded
         return replay.add(held, new, new.mask)
 
     return Memory(start, put, draw_some, replay.take, forget)
 
 
-def frames(rare: Callable[[dict[str, jax.Array]], jax.Array], num_frames: int = 4) -> Memory:
+def frames(
+    rare: Callable[[dict[str, jax.Array]], jax.Array],
+    num_frames: int = 4,
+    shared: Callable[[Any], FrameReplay] | None = None,
+    keep: Callable[[Any], Any] = lambda recorded: (),
+) -> Memory:
     """`jaxdyna.frame_replay`.
 
     Args:
         rare: from `FrameReplay.rest` to bool ``[capacity]``: which transitions are rare.
         num_frames: frames in a stack.
+        shared: see `jaxdyna.types.Memory`.
+        keep: what of that which was recorded is kept beside the transitions.
     """
 
-    def start(capacity: int, episodes: int, example: Transition) -> FrameReplay:
-        return frame_replay.init(capacity, episodes, example, num_frames)
+    def start(capacity: int, episodes: int, example: Transition, recorded: Any) -> FrameReplay:
+        beside = jax.eval_shape(keep, recorded)
+        return frame_replay.init(capacity, episodes, example, num_frames, beside)
+
+    def put(held: FrameReplay, new: Transition, recorded: Any) -> FrameReplay:
+        return frame_replay.add(held, new, keep(recorded))
 
     def draw_some(
         held: FrameReplay, key: Key, shape: tuple[int, ...], rare_share: float | None
@@ -62,4 +75,7 @@ def frames(rare: Callable[[dict[str, jax.Array]], jax.Array], num_frames: int = 
         added, episodes, first = (jnp.where(when, 0, count) for count in counts)
         return replace(held, added=added, episodes_added=episodes, first=first)
 
-    return Memory(start, frame_replay.add, draw_some, frame_replay.take, forget)
+    def take(held: FrameReplay, numbers: jax.Array) -> Transition:
+        return frame_replay.take(held, numbers)._replace(weight=None)  # that is the agent's
+
+    return Memory(start, put, draw_some, take, forget, shared)

@@ -9,6 +9,7 @@ import jax
 from flax import struct
 
 from jaxdyna import memory
+from jaxdyna.rollout import Record
 from jaxdyna.settings import DynaConfig, DynaHParams
 from jaxdyna.types import Agent, DynamicsModel, Environment, Key, Memory, Transition
 
@@ -57,10 +58,11 @@ class Dyna(NamedTuple):
         dream: where fake episodes are played.
         diagnose: ``(model_params, transitions, key) -> metrics``: judges the model on real
             episodes ``[N, T]`` that it has not been trained on yet.
-        watch: ``(transitions, first_states, env_params) -> metrics`` of real episodes ``[N, T]``
-            and the states ``[N]`` that they began in.
-        memory: how real transitions are kept for the model.
+        watch: ``(transitions, recorded, env_params) -> metrics`` of real episodes ``[N, T]`` and
+            what was recorded of their steps.
+        memory: how real transitions are kept for model and dreams; None: not at all.
         expert: who acts in some of the real episodes instead of the agent; None: no one.
+        record: see `jaxdyna.rollout.rollout`, of the real episodes.
     """
 
     env: Environment
@@ -69,8 +71,9 @@ class Dyna(NamedTuple):
     dream: Dream | None = None
     diagnose: Callable[[Any, Transition, Key], Metrics] | None = None
     watch: Callable[[Transition, Any, Any], Metrics] | None = None
-    memory: Memory = memory.transitions()
+    memory: Memory | None = memory.transitions()
     expert: Expert | None = None
+    record: Record | None = None
 
 
 @struct.dataclass
@@ -80,8 +83,8 @@ class DynaState:
     Attributes:
         agent: the agent's state.
         model: the model's state, None without one.
-        replay: real transitions so far, None without a model.
-        starts: first observations of the real episodes so far, None without a model.
+        replay: real transitions so far; None where they are not kept, or the agent keeps them.
+        starts: first observations of the real episodes so far, None where these are not kept.
         key: the random key of all that follows.
     """
 

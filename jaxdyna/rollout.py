@@ -10,16 +10,22 @@ import jax.numpy as jnp
 
 from jaxdyna.types import Environment, Key, Transition
 
+Record = Callable[[Any, Any, dict[str, Any]], Any]
+"""``(state, next_state, info) -> pytree``: what is kept of a step beside its `Transition`: of the
+environment's state before it and after it, and of what the environment says of it."""
+
 
 def rollout(
     env: Environment,
-    act: Callable[[jax.Array, Key], jax.Array],
+    act: Callable[..., jax.Array],
     key: Key,
     env_params: Any,
     num_episodes: int,
     *,
     num_steps: int | None = None,
-) -> Transition:
+    record: Record | None = None,
+    sees_state: bool = False,
+) -> Any:
     """Plays whole episodes side by side.
 
     Args:
@@ -29,11 +35,15 @@ def rollout(
         env_params: the environment's parameters; a learned environment's weights travel here.
         num_episodes: N, static.
         num_steps: T, static; by default ``env_params.max_steps``.
+        record: what else is kept of every step; after the end of an episode of its last state.
+        sees_state: whether ``act`` is a planner's, ``(obs, key, state) -> action``, which looks at
+            the environment's state.
 
     Returns:
         A `Transition` ``[N, T, ...]``. After the end of an episode ``mask`` is False, the
         observations repeat the last one and the rest is zero. An episode that outlasts ``T`` is
         truncated at its last step: every episode ends in ``terminated`` or ``truncated``.
+        With ``record`` a pair, the other being what was recorded, leaves ``[N, T, ...]``.
 
     Raises:
         ValueError: where N or T is not positive, or T is left open under a traced ``max_steps``.
@@ -48,10 +58,11 @@ def rollout(
     def step(carry, time):
         obs, state, alive, key = carry
         key, key_act, key_step = jax.random.split(key, 3)
-        action = act(obs, key_act)
-        next_obs, next_state, reward, terminated, truncated, _ = env.step(
+        action = act(obs, key_act, state) if sees_state else act(obs, key_act)
+        next_obs, next_state, reward, terminated, truncated, info = env.step(
             key_step, state, action, env_params
         )
+        kept = record(state, next_state, info) if record else ()
         terminated, truncated = jnp.asarray(terminated, bool), jnp.asarray(truncated, bool)
         truncated = truncated | ((time == num_steps - 1) & ~terminated)
         transition = Transition(
@@ -66,24 +77,16 @@ def rollout(
         # Frozen after the end: a learned model fed with its own output for ever may overflow.
         state = jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_state, state)
         alive = alive & ~(terminated | truncated)
-        return (transition.next_obs, state, alive, key), transition
+        return (transition.next_obs, state, alive, key), (transition, kept)
 
-    def episode(key: Key) -> Transition:
+    def episode(key: Key) -> tuple[Transition, Any]:
         key_reset, key_steps = jax.random.split(key)
         obs, state = env.reset(key_reset, env_params)
         start = (obs, state, jnp.bool_(True), key_steps)
         return jax.lax.scan(step, start, jnp.arange(num_steps))[1]
 
-    return jax.vmap(episode)(jax.random.split(key, num_episodes))
-
-
-def first_states(env: Environment, key: Key, env_params: Any, num_episodes: int) -> Any:
-    """The states ``[N]`` in which the episodes of a `rollout` with the same key begin."""
-
-    def begin(key: Key) -> Any:
-        return env.reset(jax.random.split(key)[0], env_params)[1]
-
-    return jax.vmap(begin)(jax.random.split(key, num_episodes))
+    played, recorded = jax.vmap(episode)(jax.random.split(key, num_episodes))
+    return (played, recorded) if record else played
 
 
 def _concrete_max_steps(env_params: Any) -> int:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 import jax
+import jax.numpy as jnp
 
 Key = jax.Array
 """A typed random key (``jax.random.key``), used once."""
@@ -29,8 +30,9 @@ class Transition(NamedTuple):
         next_obs: what was seen after, ``[..., *obs]``; never the first frame of a new episode.
         terminated: bool ``[...]``.
         truncated: bool ``[...]``.
-        mask: bool ``[...]``, False on padding after the end of an episode. A learner also takes
-            floats here: the weight of each transition in its loss, 0 for none.
+        mask: bool ``[...]``, False on padding after the end of an episode: what is there counts
+            for nothing, whatever it is.
+        weight: float ``[...]``, of each transition in a learner's loss; None: 1.
     """
 
     obs: jax.Array
@@ -40,6 +42,31 @@ class Transition(NamedTuple):
     terminated: jax.Array
     truncated: jax.Array
     mask: jax.Array
+    weight: jax.Array | None = None
+
+    @property
+    def weights(self) -> jax.Array:
+        """Float32 ``[...]``, 0 where masked out.
+
+        Raises:
+            TypeError: where the mask is not bool.
+        """
+        if self.mask.dtype != jnp.bool_:
+            raise TypeError(
+                f"a transition's mask is {self.mask.dtype}: it says which steps there are, bool; "
+                "how much each counts is its weight"
+            )
+        weight = jnp.float32(1) if self.weight is None else self.weight
+        return jnp.where(self.mask, weight, 0).astype(jnp.float32)
+
+    def blanked(self) -> Transition:
+        """With zeros where masked out, so that nothing there, not even NaN, reaches a gradient."""
+
+        def blank(leaf: jax.Array) -> jax.Array:
+            mask = self.mask.reshape(self.mask.shape + (1,) * (leaf.ndim - self.mask.ndim))
+            return jnp.where(mask, leaf, jnp.zeros((), leaf.dtype))
+
+        return jax.tree.map(blank, self)
 
 
 class Environment(Protocol):
@@ -79,8 +106,8 @@ class Agent(NamedTuple):
         init: ``(key, hparams) -> state``.
         act: ``(state, obs, key, hparams) -> action`` for one observation ``[*obs]``.
         update: ``(state, transitions, key, hparams) -> (state, metrics)`` from whole episodes
-            ``[N, T]``, real or fake alike. ``transitions.mask`` weighs them; where it is zero
-            throughout, the state comes back as it was.
+            ``[N, T]``, real or fake alike, weighed by ``transitions.weight``. Where all weigh
+            nothing, nothing is learned; where all are masked out, the state comes back as it was.
         act_fake: as ``act`` but in dreams, where exploring costs nothing; None: as ``act``.
         update_fake: as ``update`` from fake episodes, for a learner that keeps the two apart;
             None: as ``update``.
@@ -105,20 +132,28 @@ class Memory(NamedTuple):
     `jaxdyna.memory.frames`.
 
     Attributes:
-        init: ``(capacity, episodes, example) -> memory``: an empty one for so many transitions and
-            episodes like the example ``[...]``.
-        add: ``(memory, transitions) -> memory`` with whole episodes ``[N, T]``.
+        init: ``(capacity, episodes, example, recorded) -> memory``: an empty one for so many
+            transitions and episodes like the example ``[...]`` and what is recorded of one.
+        add: ``(memory, transitions, recorded) -> memory`` with whole episodes ``[N, T]`` and what
+            was recorded of their steps (`jaxdyna.dyna.Dyna.record`).
         draw: ``(memory, key, shape, rare_share) -> numbers`` of transitions, int ``shape``, a share
             of them, or more, of rare ones (the memory knows which); None draws all alike.
         take: ``(memory, numbers) -> transitions`` with the numbers' axes leading.
         forget: ``(memory, when) -> memory``: emptied where ``when`` is true.
+        shared: ``agent_state -> memory``: where the agent has a replay of its real episodes that
+            serves as this one, so that they are remembered once; None: it has none.
     """
 
-    init: Callable[[int, int, Any], Any]
-    add: Callable[[Any, Transition], Any]
+    init: Callable[[int, int, Any, Any], Any]
+    add: Callable[[Any, Transition, Any], Any]
     draw: Callable[[Any, Key, tuple[int, ...], float | None], jax.Array]
     take: Callable[[Any, jax.Array], Transition]
     forget: Callable[[Any, jax.Array], Any]
+    shared: Callable[[Any], Any] | None = None
+
+    def of(self, state: Any) -> Any:
+        """The memory of a `jaxdyna.dyna.DynaState`."""
+        return state.replay if self.shared is None else self.shared(state.agent)
 
 
 class Prediction(NamedTuple):
@@ -147,7 +182,7 @@ class DynamicsModel(NamedTuple):
         init: ``(key, hparams) -> state``; ``state.params`` is what ``predict`` takes.
         predict: ``(params, obs, action, key) -> Prediction`` for one observation and action.
         update: ``(state, transitions, key, hparams) -> (state, metrics)``: one gradient step on
-            transitions with any leading axes, weighed by their ``mask``.
+            transitions with any leading axes, weighed by their ``weight``.
     """
 
     init: Callable[[Key, Any], Any]

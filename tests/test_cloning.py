@@ -66,7 +66,7 @@ def test_what_was_shown_is_imitated():
     assert right.mean() > 0.9
     assert new.shown.size == shown(1).mask.sum()
     assert_same(new.agent, state.agent)  # who shows may plan by what the agent has learned
-    nothing = shown(1)._replace(mask=shown(1).mask * 0.0)
+    nothing = shown(1)._replace(mask=shown(1).mask & False)
     assert_same(UPDATE_EXPERT(state, nothing, jax.random.key(2), ReinforceHParams())[0], state)
 
 

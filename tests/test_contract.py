@@ -53,6 +53,17 @@ WORLDS = {
 }
 
 
+def poisoned(episodes):
+    """NaN wherever nothing is."""
+
+    def poison(leaf):
+        mask = episodes.mask.reshape(episodes.mask.shape + (1,) * (leaf.ndim - 2))
+        floats = jnp.issubdtype(leaf.dtype, jnp.floating)
+        return jnp.where(mask, leaf, jnp.nan) if floats else leaf
+
+    return jax.tree.map(poison, episodes)
+
+
 @jax.jit
 def play(key):
     return rollout(ENV, random_act, key, ENV.default_params, 40, num_steps=60)
@@ -105,12 +116,14 @@ def test_agent_weighs_transitions(name, episodes):
     def update(transitions):
         return agent.update(state, transitions, jax.random.clone(key), hparams)[0]
 
-    nothing = update(episodes._replace(mask=episodes.mask * 0.0))
-    assert_same(nothing, state)
-    assert_close(update(episodes._replace(mask=episodes.mask * 1.0)), update(episodes))
-    garbage = jnp.where(episodes.mask, episodes.reward, 1e6)
-    assert_close(update(episodes._replace(reward=garbage)), update(episodes))
-    full, half = (update(episodes._replace(mask=episodes.mask * w)).params for w in (1.0, 0.5))
+    def weighing(weight):
+        return episodes._replace(weight=jnp.full(episodes.mask.shape, weight))
+
+    assert_same(update(weighing(0.0)), state)
+    assert_same(update(episodes._replace(mask=episodes.mask & False)), state)
+    assert_close(update(weighing(1.0)), update(episodes))
+    assert_same(update(poisoned(episodes)), update(episodes))
+    full, half = (update(weighing(weight)).params for weight in (1.0, 0.5))
     for new, less, old in zip(*map(jax.tree.leaves, (full, half, state.params)), strict=True):
         np.testing.assert_allclose(less - old, (new - old) / 2, atol=2e-5)
 
@@ -140,9 +153,8 @@ def test_model_ignores_what_is_masked(name, episodes):
     def update(transitions):
         return model.update(state, transitions, jax.random.clone(key), hparams)[0]
 
-    garbage = jnp.where(episodes.mask[..., None], episodes.next_obs, 77.0)
-    assert_close(update(episodes._replace(next_obs=garbage)), update(episodes))
-    assert_same(update(episodes._replace(mask=episodes.mask * 0.0)), state)
+    assert_same(update(poisoned(episodes)), update(episodes))
+    assert_same(update(episodes._replace(mask=episodes.mask & False)), state)
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -109,11 +109,19 @@ def test_what_weighs_nothing_changes_nothing():
     fresh = agent.init(jax.random.key(0), HPARAMS)
     halves = [
         agent.update(
-            fresh, play(0)._replace(mask=np.full((2, 6), w, np.float32)), jax.random.key(1), HPARAMS
+            fresh,
+            play(0)._replace(weight=np.full((2, 6), w, np.float32)),
+            jax.random.key(1),
+            HPARAMS,
         )
         for w in (1.0, 0.5)
     ]
     assert float(halves[1][1]["loss"]) < float(halves[0][1]["loss"])
+    light = play(1)._replace(weight=np.zeros((2, 6), np.float32))
+    kept = agent.update(state, light, jax.random.key(3), HPARAMS)[0]
+    assert kept.real.size > state.real.size  # remembered, for who else asks
+    assert_same((kept.params, kept.opt_state), (state.params, state.opt_state))
+    assert_same(agent.update_fake(state, light, jax.random.key(4), HPARAMS)[0], state)
 
 
 def learn(key, episodes):
@@ -179,7 +187,7 @@ def at_episode(state, number):
 def test_exploration_lasts_until_something_was_earned():
     hparams = DQNHParams(epsilon_hold=2.0, epsilon_episodes=4.0)
     nothing = play(0)._replace(reward=-jnp.ones_like(play(0).reward))
-    unseen = play(0)._replace(reward=jnp.ones_like(play(0).reward), mask=play(0).mask * 0)
+    unseen = play(0)._replace(reward=jnp.ones_like(play(0).reward), mask=play(0).mask & False)
     once = nothing._replace(reward=nothing.reward.at[0, 1].set(1.0))
     shares = {}
     for until_rewarded in (False, True):

@@ -93,14 +93,15 @@ def test_a_branch_remembers_what_was_seen_before_it():
     assert check(buffer, parts) == 2 * 4 + 7 + 2 * 2
 
 
-def test_an_episode_whose_last_steps_weigh_nothing_ends_before_them():
+def test_an_episode_whose_last_steps_are_masked_ends_before_them():
     episodes = play(0, 2)
-    light = episodes._replace(mask=(episodes.mask * (np.arange(7) < 4) * 0.5).astype(np.float32))
+    weight = np.full((2, 7), 0.5, np.float32)
+    light = episodes._replace(mask=episodes.mask & (np.arange(7) < 4), weight=weight)
     buffer = ADD(frame_replay.init(64, 9, example(light)), light)
     assert int(buffer.size) == 8
     drawn = TAKE(buffer, jnp.arange(8))
     assert_same(drawn.next_obs, episodes.next_obs[:, :4].reshape(8, 5, 5, 12))
-    np.testing.assert_array_equal(drawn.mask, 0.5)
+    np.testing.assert_array_equal(drawn.weight, 0.5)
     window = WINDOW(buffer, jnp.arange(8), 3, 1.0)
     assert_same(window.last_obs[2], episodes.next_obs[0, 3])
 

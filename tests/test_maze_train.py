@@ -17,11 +17,11 @@ from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.experiments.maze import LEVERS, PARTS
 from jaxdyna.experiments.maze.acting import describe, replay
-from jaxdyna.experiments.maze.arms import agent_of, behaviour
+from jaxdyna.experiments.maze.arms import agent_of, behaviour, model_of, parts
 from jaxdyna.experiments.maze.options import LEAN, TUNED
 from jaxdyna.fields import changed
 from jaxdyna.planners import solve_maze
-from jaxdyna.rollout import first_states, rollout
+from jaxdyna.rollout import rollout
 from jaxdyna.statistics import SolveRule, episodes_to_solve
 
 TINY = [*respelled(["maze", *tiny.MAZE])[1:], "--arms", "dyna"]
@@ -59,6 +59,7 @@ def test_it_leaves_what_the_contract_asks_for(finished):
 
 
 def test_what_is_said_of_an_episode_is_what_happened():
+    record = parts(Maze(), agent_of(TUNED), model_of(TUNED)).record
     world, params = Maze(size=3, num_obstacles=2), MazeParams(max_steps=30)
     env, key = FrameStack(world), jax.random.key(2)
 
@@ -67,13 +68,12 @@ def test_what_is_said_of_an_episode_is_what_happened():
 
     @jax.jit
     def play(key):
-        played = rollout(env, act, key, params, 1, num_steps=30)
-        return played, first_states(env, jax.random.clone(key), params, 1)
+        return rollout(env, act, key, params, 1, num_steps=30, record=record)
 
-    say = jax.jit(lambda played, begun: behaviour(world, played, begun, params))
-    played, begun = jax.tree.map(np.asarray, play(key))
-    said = say(played, begun)
-    start = jax.tree.map(lambda leaf: leaf[0], begun.env)
+    say = jax.jit(lambda *played: behaviour(world, *played, params))
+    played, recorded = jax.tree.map(np.asarray, play(key))
+    said = say(played, recorded)
+    start = jax.tree.map(lambda leaf: leaf[0, 0], recorded.state)
     step, collisions, reached, state = jax.jit(world.step), 0, [], start
     for time, action in enumerate(played.action[0]):
         _, state, _, _, _, info = step(jax.random.key(0), state, action, params)
@@ -85,9 +85,8 @@ def test_what_is_said_of_an_episode_is_what_happened():
     assert said["oracle_return"] == best(start)
     frames = replay(world, said["show_obstacles"], said["show_directions"], said["show_action"])
     np.testing.assert_array_equal(frames[1:], played.next_obs[0, ..., -3:])
-    unseen = played.next_obs.copy()
-    unseen[..., -2] = 0
-    assert say(played._replace(next_obs=unseen), begun)["time_to_goal"] == 31
+    never = recorded._replace(info=recorded.info | {"at_goal": np.zeros((1, 30), bool)})
+    assert say(played, never)["time_to_goal"] == 31
 
 
 def test_a_run_that_is_over_keeps_its_own_last_errors():

@@ -85,7 +85,7 @@ def test_what_is_masked_does_not_teach(name, episodes):
         next_obs=jnp.asarray(np.where(blank, np.uint8(255), some.next_obs)),
     )
     assert_close(update(garbage), update(some), 1e-4)
-    assert_same(update(episodes._replace(mask=episodes.mask * 0.0)), state)
+    assert_same(update(episodes._replace(mask=episodes.mask & False)), state)
 
 
 def test_losses_by_hand():

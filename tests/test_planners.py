@@ -12,7 +12,7 @@ import pytest
 from parts import ENV, LEARNED, MODEL, assert_close
 
 from jaxdyna import rollout
-from jaxdyna.envs import Maze, MazeParams, Revealed
+from jaxdyna.envs import Maze, MazeParams
 from jaxdyna.models import LearnedParams, LearnedState, SupervisedHParams
 from jaxdyna.planners import (
     CrossEntropyConfig,
@@ -28,7 +28,6 @@ from jaxdyna.planners import (
     score,
     solve_maze,
 )
-from jaxdyna.rollout import first_states
 
 DISCOUNT = 0.9
 CELLS = 5
@@ -291,7 +290,15 @@ MAZE, SMALL = Maze(size=2, num_obstacles=1), MazeParams(max_steps=6)
 def best_returns(episodes):
     @jax.jit
     def best(key):
-        starts = first_states(MAZE, key, SMALL, episodes)
+        _, states = rollout(
+            MAZE,
+            lambda obs, key: jnp.int32(0),
+            key,
+            SMALL,
+            episodes,
+            record=lambda state, *_: state,
+        )
+        starts = jax.tree.map(lambda leaf: leaf[:, 0], states)
         return jax.vmap(lambda start: solve_maze(MAZE, start, SMALL, 6).best_return)(starts)
 
     return best(jax.random.key(0))
@@ -299,14 +306,13 @@ def best_returns(episodes):
 
 def share_of_oracle(planner, episodes=12):
     """Of what could be had in as many episodes."""
-    world = Revealed(MAZE)
 
     @jax.jit
     def play(key):
-        def act(seen, key):
-            return planner(SMALL, *world.read(seen, SMALL), key).action
+        def act(obs, key, state):
+            return planner(SMALL, obs, state, key).action
 
-        return rollout(world, act, key, SMALL, episodes).reward.sum()
+        return rollout(MAZE, act, key, SMALL, episodes, sees_state=True).reward.sum()
 
     return float(play(jax.random.key(0)) / best_returns(episodes).sum())
 
@@ -336,18 +342,6 @@ def test_planning_in_a_learned_model_is_the_same_call():
     planner = random_shooting(LEARNED, ShootingConfig(4, 8))
     found = planner(params, obs, LearnedState(obs, jnp.int32(0)), jax.random.key(2))
     assert 0 <= found.action < 2 and np.isfinite(found.value)
-
-
-def test_what_is_revealed_reads_back_exactly():
-    world = Revealed(MAZE)
-    seen, state = world.reset(jax.random.key(3), SMALL)
-    assert seen.shape == world.observation_space(SMALL).shape
-    assert world.action_space(SMALL).n == world.num_actions == 5
-    obs, read = world.read(seen, SMALL)
-    np.testing.assert_array_equal(obs, MAZE.frame(state))
-    for left, right in zip(jax.tree.leaves(read), jax.tree.leaves(state), strict=True):
-        np.testing.assert_array_equal(left, right)
-        assert left.dtype == right.dtype
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from functools import partial
 from types import SimpleNamespace
 
 import jax
@@ -13,14 +12,13 @@ import tiny
 from renamed import respelled
 
 from jaxdyna import frame_replay
-from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette, Pong
-from jaxdyna.envs.pong_rules import advance
+from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette, Pong, Replayed
 from jaxdyna.envs.pong_screen import mixture_of, picture_of, shares_of
 from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.pong import PARTS, frames
 from jaxdyna.experiments.pong.arms import arms, points
 from jaxdyna.experiments.pong.data import choose, collect, play, screens, states, take
-from jaxdyna.experiments.pong.guided import Guided, GuidedParams, read_state
+from jaxdyna.experiments.pong.guided import Guided, GuidedParams
 from jaxdyna.experiments.pong.options import TUNED
 from jaxdyna.experiments.pong.world import (
     OBJECTS,
@@ -32,7 +30,7 @@ from jaxdyna.experiments.pong.world import (
 )
 from jaxdyna.experiments.report.sections import equal_episodes
 from jaxdyna.experiments.report.summaries import comparisons
-from jaxdyna.experiments.study.frames import draw_stack
+from jaxdyna.experiments.study.frames import draw_state
 from jaxdyna.fields import changed
 from jaxdyna.networks import SignedReward
 from jaxdyna.statistics import summarise
@@ -93,58 +91,21 @@ def test_kept_episodes_look_as_the_stacked_game_does(played):
     assert unserved.any() and same[unserved].all()  # only serves are random
 
 
-def test_a_state_read_off_frames_shows_the_newest_of_them(played):
-    times = jnp.arange(3, 60, 4)
-
-    @jax.jit
-    def read(episode, time, key):
-        stack = take(SOURCE, played, episode[None], time[None]).obs[0]
-        state = read_state(GAME, stack, PARAMS, key)
-        true = jax.tree.map(lambda leaf: leaf[episode, time], played.world)
-        shown = (GAME.frame(state) == stack[..., -3:]).all()
-        return shown, (state.ball_velocity == true.ball_velocity).all(), true.wait == 0
-
-    keys = jax.random.split(jax.random.key(1), (4, len(times)))
-    over_time = jax.vmap(read, (None, 0, 0))
-    shown, same, in_play = jax.vmap(over_time, (0, None, 0))(jnp.arange(4), times, keys)
-    assert shown.all()
-    assert same[in_play].mean() > 0.9
-
-
-def test_a_point_that_may_have_been_counted_is_counted_once():
-    """A ball that is out is shown for a frame before its point counts and for one after."""
-    key, quick = jax.random.key(0), PARAMS.replace(serve_delay=5)
-    _, state = GAME.reset(key, quick)
-    state = state.replace(
-        ball=jnp.array([40, 150]), ball_velocity=jnp.array([0, 2]), own=jnp.int32(100), wait=0
-    )
-    one_frame = jax.jit(lambda state: advance(jax.random.key(2), state, jnp.int32(0), quick))
-    stacks, scores = [], []
-    for _ in range(8):
-        stacks.append(jnp.tile(GAME.frame(state), 4))
-        scores.append(int(state.score[0]))
-        state = one_frame(state)
-    counted = scores.index(1)
-    keys = jax.random.split(jax.random.key(1), 200)
-    read = jax.jit(jax.vmap(lambda key: read_state(GAME, stacks[counted], quick, key)))(keys)
-    out = (read.ball[:, 1] >= 156) & (read.wait == quick.serve_delay)
-    in_play = read.wait == 0
-    assert (out | in_play).all() and 20 < out.sum() < 120
-
-
 def test_only_the_chosen_object_is_the_truth(played):
-    """Beside a model that sees nothing; the oracle's frames and rewards are the game's."""
+    """Beside a model that sees nothing."""
     some = take(SOURCE, played, jnp.array([0, 1]), jnp.array([10, 11]))
     episodes = jax.tree.map(lambda leaf: leaf[:, None], some)
     example = jax.tree.map(lambda leaf: leaf[0], some)
-    held = frame_replay.add(frame_replay.init(8, 4, example), episodes)
+    moment = jax.tree.map(lambda leaf: leaf[jnp.array([0, 1]), jnp.array([10, 11])], played.world)
+    shapes = jax.tree.map(lambda leaf: leaf[0], moment)
+    held = frame_replay.init(8, 4, example, beside=shapes)
+    held = frame_replay.add(held, episodes, jax.tree.map(lambda leaf: leaf[:, None], moment))
 
     def blind(params, obs, action, key):
         dark = jnp.concatenate([obs[..., 3:], jnp.zeros_like(obs[..., :3])], -1)
         return Prediction(dark, jnp.float32(7), jnp.float32(0), jnp.float32(0))
 
-    def step(predict, truth):
-        env = Guided(FrameStack(GAME), draw_stack, partial(read_state, GAME), predict, truth)
+    def step(env):
         params = GuidedParams(PARAMS.replace(max_steps=1), held)
 
         @jax.jit
@@ -155,10 +116,11 @@ def test_only_the_chosen_object_is_the_truth(played):
 
         return go(jax.random.key(4))
 
-    whole, _, reward, terminated, truncated, _ = step(None, tuple(OBJECTS.values()))
+    game = FrameStack(GAME)
+    whole, _, reward, terminated, truncated, _ = step(Replayed(game, draw_state))
     assert abs(float(reward)) <= 1 and truncated and not terminated
     for channel in OBJECTS.values():
-        seen, _, said, *_ = step(blind, (channel,))
+        seen, _, said, *_ = step(Guided(game, draw_state, predict=blind, truth=(channel,)))
         newest = np.asarray(seen[..., -3:])
         np.testing.assert_array_equal(newest[..., channel], whole[..., -3 + channel])
         assert said == 7 and not np.delete(newest, channel, axis=-1).any()

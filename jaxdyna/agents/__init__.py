@@ -1,7 +1,7 @@
 """Learners of behaviour."""
 
 from jaxdyna.agents.cloning import CloningConfig, CloningState, cloning
-from jaxdyna.agents.dqn import DQNState, dqn, q_values
+from jaxdyna.agents.dqn import DQNState, dqn, q_values, real_memory
 from jaxdyna.agents.dqn_settings import DQNConfig, DQNHParams
 from jaxdyna.agents.reinforce import (
     ReinforceConfig,
@@ -24,5 +24,6 @@ __all__ = [
     "dqn",
     "policy_logits",
     "q_values",
+    "real_memory",
     "reinforce",
 ]

@@ -135,7 +135,7 @@ def cloning(
 
     def update_expert(state: CloningState, transitions: Transition, key: Key, hparams: Any):
         key_own, key_imitate = jax.random.split(key)
-        seen = transitions.mask > 0
+        seen = transitions.weights > 0
         items = (transitions.obs, transitions.action.astype(state.shown.data[1].dtype))
         shown = replay.add(state.shown, items, seen)
         own, params = state.agent, state.imitating

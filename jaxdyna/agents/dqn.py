@@ -18,12 +18,14 @@ from jaxdyna.agents import exploration, prioritized
 from jaxdyna.agents.dqn_settings import DQNConfig, DQNHParams
 from jaxdyna.agents.exploration import Exploration
 from jaxdyna.agents.prioritized import Prioritized
+from jaxdyna.frame_replay import FrameReplay
 from jaxdyna.losses import td_error
 from jaxdyna.networks import GlimpseQ
 from jaxdyna.types import Agent, Key, Transition
 from jaxdyna.windows import Window, take_window
 
 Values = Callable[[Any, jax.Array], jax.Array]
+Learned = tuple["DQNState", dict[str, jax.Array]]
 
 
 @struct.dataclass
@@ -138,9 +140,10 @@ def dqn(
                 state.exploration, transitions, hparams, config.explore_until_rewarded
             )
             new = replace(state, real=real, exploration=explored)
-            return learn(new, key, hparams, config.updates)
+            weighs = (transitions.weights > 0).any()
+            return _where(weighs, lambda: learn(new, key, hparams, config.updates), new)
 
-        return _unless_nothing(transitions, work, state)
+        return _where(transitions.mask.any(), work, state)
 
     def update_fake(state: DQNState, transitions: Transition, key: Key, hparams: DQNHParams):
         """The same with dreams."""
@@ -149,9 +152,14 @@ def dqn(
             fake = prioritized.add(state.fake, _weighted(transitions))
             return learn(replace(state, fake=fake), key, hparams, config.fake_updates)
 
-        return _unless_nothing(transitions, work, state)
+        return _where((transitions.weights > 0).any(), work, state)
 
     return Agent(init, act, update, act_fake, update_fake)
+
+
+def real_memory(state: DQNState) -> FrameReplay:
+    """The real transitions that an agent of `dqn` keeps, for who wants them as well."""
+    return state.real.memory
 
 
 def q_values(network: Any, params: Any, obs: jax.Array) -> jax.Array:
@@ -177,7 +185,7 @@ def _descend(
             choice,
         )
         weight = draws.often**-hparams.importance_exponent
-        weight = batch.first.mask * weight / weight.max()
+        weight = batch.first.weights * weight / weight.max()
         return (weight * optax.huber_loss(errors)).mean(), errors
 
     (loss, errors), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.params)
@@ -238,15 +246,12 @@ def _mixed(
 
 
 def _weighted(transitions: Transition) -> Transition:
-    return transitions._replace(mask=transitions.mask.astype(jnp.float32))
+    return transitions._replace(weight=transitions.weights)
 
 
-def _unless_nothing(
-    transitions: Transition, work: Callable[[], tuple[DQNState, dict]], state: DQNState
-) -> tuple[DQNState, dict[str, jax.Array]]:
-    """What ``work`` returns, or the state as it is where every transition weighs nothing."""
-    nothing = {"loss": jnp.float32(0)}
-    return jax.lax.cond((transitions.mask > 0).any(), work, lambda: (state, nothing))
+def _where(needed: jax.Array, work: Callable[[], Learned], state: DQNState) -> Learned:
+    """What ``work`` returns, or the state as it is."""
+    return jax.lax.cond(needed, work, lambda: (state, {"loss": jnp.float32(0)}))
 
 
 def _example(obs_shape: tuple[int, ...]) -> Transition:
@@ -255,4 +260,4 @@ def _example(obs_shape: tuple[int, ...]) -> Transition:
 
     number, flag = of((), np.float32), of((), np.bool_)
     obs = of(obs_shape, np.uint8)
-    return Transition(obs, of((), np.int32), number, obs, flag, flag, number)
+    return Transition(obs, of((), np.int32), number, obs, flag, flag, flag, number)

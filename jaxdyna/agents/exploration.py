@@ -39,7 +39,7 @@ def count(
     would begin to fall, for as long as no step has brought a reward above 0.
     """
     episodes = before.episodes + real.mask.shape[0]
-    rewarded = before.rewarded | (real.mask * real.reward > 0).any()
+    rewarded = before.rewarded | (real.mask & (real.reward > 0)).any()
     if until_rewarded:
         hold = jnp.asarray(hparams.epsilon_hold).astype(jnp.int32)
         episodes = jnp.where(rewarded, episodes, jnp.minimum(episodes, hold))

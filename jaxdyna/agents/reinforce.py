@@ -125,7 +125,7 @@ def reinforce(
         the step itself: data of weight 0.5 moves the policy half as far.
         """
         del key
-        weight = transitions.mask.astype(jnp.float32)
+        transitions, weight = transitions.blanked(), transitions.weights
         valid = weight > 0
         returns = jax.vmap(discounted_returns, (0, None))(
             jnp.where(valid, transitions.reward, 0), hparams.discount

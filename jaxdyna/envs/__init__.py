@@ -10,7 +10,6 @@ from jaxdyna.envs.pong import Pong
 from jaxdyna.envs.pong_rules import PongParams, PongState
 from jaxdyna.envs.pong_screen import CHANNELS, ObjectMasks, Palette
 from jaxdyna.envs.replayed import Replayed, ReplayedParams
-from jaxdyna.envs.revealed import Revealed
 from jaxdyna.envs.stack import FrameStack, StackState
 
 __all__ = [
@@ -38,7 +37,6 @@ __all__ = [
     "PongState",
     "Replayed",
     "ReplayedParams",
-    "Revealed",
     "StackState",
     "register",
 ]

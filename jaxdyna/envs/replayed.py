@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from flax import struct
 
 from jaxdyna.envs.stack import FrameStack, StackState
@@ -22,21 +23,26 @@ class ReplayedParams:
     max_steps: int | jax.Array = 200
 
 
+def at_time_0(state: Any) -> Any:
+    """The same, no step of the episode taken: its field ``time`` is 0."""
+    return replace(state, time=jnp.zeros_like(state.time))
+
+
 @dataclass(frozen=True)
 class Replayed:
-    """An environment of stacked frames whose episodes begin at any real stack instead of the start:
-    the world of an oracle's dreams, which begin where those in a learned model do.
+    """An environment of stacked frames whose episodes begin in the midst of real ones instead of at
+    the start: the world of an oracle's dreams, which begin where those in a learned model do.
 
     Attributes:
         real: the environment.
-        draw: ``(key, params.start) -> stack``: where episodes begin.
-        read: ``(stack, params.env, key) -> state`` of the environment below the stack; the key
-            draws what the stack does not show.
+        draw: ``(key, params.start) -> (stack, state)``: what was seen in a real episode, and the
+            state below the stack that was seen so.
+        begin: from such a state to one in which an episode begins.
     """
 
     real: FrameStack
-    draw: Callable[[Key, Any], jax.Array]
-    read: Callable[[jax.Array, Any, Key], Any]
+    draw: Callable[[Key, Any], tuple[jax.Array, Any]]
+    begin: Callable[[Any], Any] = at_time_0
 
     @property
     def default_params(self) -> ReplayedParams:
@@ -49,10 +55,9 @@ class Replayed:
         return self.real.num_actions
 
     def reset(self, key: Key, params: ReplayedParams) -> tuple[jax.Array, StackState]:
-        """Draws a real stack and reads the state off it."""
-        key_draw, key_read = jax.random.split(key)
-        obs = self.draw(key_draw, params.start)
-        return obs, StackState(self.read(obs, params.env, key_read), obs)
+        """Draws where it begins."""
+        obs, state = self.draw(key, params.start)
+        return obs, StackState(self.begin(state), obs)
 
     def step(
         self, key: Key, state: StackState, action: jax.Array, params: ReplayedParams

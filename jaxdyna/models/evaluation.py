@@ -69,25 +69,26 @@ def one_step_sums(predict: Predict) -> Callable[[Any, Transition, Key], dict[str
 
     def diagnose(params: Any, transitions: Transition, key: Key) -> dict[str, jax.Array]:
         prediction = one_step(predict, params, transitions, key)
-        valid = transitions.mask.astype(jnp.float32)
+        valid = transitions.mask
         target, change = transitions.next_obs, transitions.next_obs - transitions.obs
 
         def total(values):
-            return (values * valid[..., None]).sum((0, 1))
+            return jnp.where(valid[..., None], values, 0).sum((0, 1))
 
+        reward_error = jnp.square(prediction.reward - transitions.reward)
         end = transitions.terminated.astype(jnp.float32)
         p = jnp.clip(prediction.terminated, 1e-6, 1 - 1e-6)
         cross_entropy = -(end * jnp.log(p) + (1 - end) * jnp.log1p(-p))
         return {
-            "count": valid.sum(),
+            "count": valid.sum(dtype=jnp.float32),
             "state_error": total(jnp.square(prediction.next_obs - target)),
             "state_sum": total(target),
             "state_square": total(jnp.square(target)),
             "change_sum": total(change),
             "change_square": total(jnp.square(change)),
-            "reward_error": (jnp.square(prediction.reward - transitions.reward) * valid).sum(),
-            "end_true": (end * valid).sum(),
-            "end_error": (cross_entropy * valid).sum(),
+            "reward_error": jnp.where(valid, reward_error, 0).sum(),
+            "end_true": jnp.where(valid, end, 0).sum(),
+            "end_error": jnp.where(valid, cross_entropy, 0).sum(),
         }
 
     return diagnose
@@ -123,11 +124,11 @@ def frame_errors(predict: Predict) -> Callable[[Any, Transition, Key], dict[str,
 
     def diagnose(params: Any, transitions: Transition, key: Key) -> dict[str, jax.Array]:
         prediction = one_step(predict, params, transitions, key)
-        valid = transitions.mask.astype(jnp.float32)
+        valid = transitions.mask
         lit, truth = prediction.next_obs > HALF, transitions.next_obs > HALF
         frame = (lit != truth).any((-1, -2, -3))
         reward = jnp.abs(prediction.reward - transitions.reward) >= 0.5
         shares = {"wrong_frames": frame, "wrong_rewards": reward}
-        return {name: (wrong * valid).sum() / valid.sum() for name, wrong in shares.items()}
+        return {name: (wrong & valid).sum() / valid.sum() for name, wrong in shares.items()}
 
     return diagnose

@@ -156,7 +156,7 @@ def _learner(
         del key
         lead = transitions.mask.ndim
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[lead:]), transitions)
-        weight = batch.mask.astype(jnp.float32)
+        batch, weight = batch.blanked(), batch.weights
         truth = _scale(batch.next_obs[..., -channels:])
         one_hot = jax.nn.one_hot(batch.action, num_actions)
 

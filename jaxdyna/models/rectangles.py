@@ -156,7 +156,7 @@ def _learner(
         """One gradient step; ``metrics`` are the mean losses of a transition."""
         lead, channels = transitions.mask.ndim, len(sum(config.groups, ()))
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[lead:]), transitions)
-        weight = batch.mask.astype(jnp.float32)
+        batch, weight = batch.blanked(), batch.weights
         past = rectangles_of(batch.obs, channels)
         after = rectangles_of(batch.next_obs[..., -channels:], channels)
         truth = Rectangles(after.edge[:, 0], after.seen[:, 0])

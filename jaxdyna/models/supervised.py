@@ -162,7 +162,7 @@ def supervised(
     ) -> tuple[SupervisedState, dict[str, jax.Array]]:
         lead = transitions.mask.ndim
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[lead:]), transitions)
-        weight = batch.mask.astype(jnp.float32)
+        batch, weight = batch.blanked(), batch.weights
         target = raw_target(batch.obs, batch.next_obs)
         params = state.params
         if config.normalise:

@@ -32,8 +32,10 @@ SAID = study.SAID | {
     "mpc_init_dyna": f"{IMITATES} goes on with dreams like `dyna`.",
     "mpc_clone": f"{IMITATES} stays as it is.",
 }
-TRUTH = Dream(CartPole(), lambda _, hparams: hparams.env)
-"""The oracle's dreams."""
+TRUTH: dict[str, Any] = {
+    "dream": Dream(CartPole(), lambda _, hparams: hparams.env), "memory": None,
+}  # fmt: skip
+"""The oracle's dreams, from the start."""
 STARTS: dict[str, Any] = {
     "observed": (lambda key, firsts: replay.sample(firsts, key, ()), lambda state: state.starts),
     "uniform": (models.uniform_start(-0.1, 0.1), lambda state: jnp.zeros(4)),
@@ -50,7 +52,7 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
         model.judge if judged else None, model.show if judged else None, block=options.block
     )
     made = study.standard_arms(
-        dyna, config, hparams, TRUTH, hooks, replays=False,
+        dyna, config, hparams, dyna._replace(**TRUTH), hooks,
         untrained={"termination_threshold": 1.0},
     )  # fmt: skip
     late = replace(hparams, num_real_first=config.num_real_first + options.shown_episodes)
@@ -92,7 +94,7 @@ def _parts(
     draw, source = STARTS[start]
 
     def params(state: DynaState, hparams: DynaHParams) -> models.LearnedParams:
-        return replace(learned_params(state, hparams), start=source(state))
+        return learned_params(state, hparams, source(state))
 
     policy = agents.reinforce((4,), env.num_actions, agent)
     dream = Dream(models.LearnedEnvironment(env, predict, draw), params)

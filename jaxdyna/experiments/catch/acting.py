@@ -4,17 +4,14 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, ClassVar, Self
 
-import jax
-import jax.numpy as jnp
-
 from jaxdyna.agents import DQNConfig, DQNHParams, dqn
-from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, Metrics
-from jaxdyna.envs import Catch, CatchParams, CatchState, FrameStack
+from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
+from jaxdyna.envs import Catch, CatchParams, FrameStack
 from jaxdyna.experiments.engine import Experiment, Options
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
 from jaxdyna.experiments.study import arms as study
-from jaxdyna.experiments.study.frames import frame_dyna, true_dream
+from jaxdyna.experiments.study.frames import frame_dyna, true_dyna
 from jaxdyna.fields import LARGEST, changed, setting
 from jaxdyna.models import PixelConfig, PixelHParams, pixels
 from jaxdyna.networks import GlimpseQ, JointReward, LocalDynamics
@@ -90,24 +87,10 @@ def arms(options: CatchOptions) -> dict[str, study.Made]:
     agent = replace(study.sized(options.agent, options.dyna), network=GlimpseQ(game.num_actions))
     dyna = parts(game, agent, options.widths)
     return study.standard_arms(
-        dyna, options.dyna, options.hparams, oracle(game),
+        dyna, options.dyna, options.hparams, true_dyna(dyna),
         study.Hooks(judge, piece=10, block=options.block),
         busier=parts(game, study.busy(agent), options.widths).agent,
     )  # fmt: skip
-
-
-@cache
-def oracle(game: Catch) -> Dream:
-    """The oracle's dreams: the true game from any frames that a real episode has shown."""
-
-    def read(stack: jax.Array, params: CatchParams, key: jax.Array) -> CatchState:
-        newest = stack[..., -3:] > 0
-        row, column = jnp.unravel_index(jnp.argmax(newest[..., 0]), newest.shape[:2])
-        paddle = jnp.argmax(newest[-1, :, 2])
-        ball = jnp.stack([row, column]).astype(jnp.int32)
-        return CatchState(ball, paddle.astype(jnp.int32), row.astype(jnp.int32))
-
-    return true_dream(FrameStack(game), read)
 
 
 def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Any, hparams: Any) -> Metrics:

@@ -17,18 +17,17 @@ import numpy as np
 from jaxdyna import losses, networks, planners
 from jaxdyna.agents import CloningConfig, DQNConfig, DQNState, cloning, dqn, q_values
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, Metrics
-from jaxdyna.envs import FrameStack, Maze, MazeParams, StackState
+from jaxdyna.envs import FrameStack, Maze, MazeParams
 from jaxdyna.envs.maze import MOVES
 from jaxdyna.experiments.frames.options import decayed_adam
 from jaxdyna.experiments.maze.frames import TUNED as FRAMES
 from jaxdyna.experiments.maze.options import MazeOptions
-from jaxdyna.experiments.maze.oracle import true_dream
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
-from jaxdyna.experiments.study.frames import frame_dyna
+from jaxdyna.experiments.study.frames import Recorded, frame_dyna, remembering, true_dyna
 from jaxdyna.experiments.study.planners import acting, by_values
 from jaxdyna.models import PixelConfig, pixels
-from jaxdyna.rollout import first_states, rollout
+from jaxdyna.rollout import rollout
 from jaxdyna.types import Agent, Key, Transition
 
 STARTS, AT_ONCE = 1000, 100
@@ -52,7 +51,7 @@ def arms(options: MazeOptions, judged: bool = True) -> dict[str, study.Made]:
     hooks = study.Hooks(judge if judged else None, piece=10, block=options.block)
     dyna = parts(maze, agent, model, options.steps if options.judged_on == "common" else None)
     made = study.standard_arms(
-        dyna, options.dyna, options.hparams, true_dream(maze), hooks,
+        dyna, options.dyna, options.hparams, true_dyna(dyna), hooks,
         busier=parts(maze, study.busy(agent), model).agent,
     )  # fmt: skip
 
@@ -61,7 +60,7 @@ def arms(options: MazeOptions, judged: bool = True) -> dict[str, study.Made]:
         return study.dyna_arm(playing, dreamless, options.hparams, hooks)
 
     def shown() -> Any:
-        imitating = dyna._replace(agent=imitator(dyna, agent, options.cloning))
+        imitating = remembering(dyna)._replace(agent=imitator(dyna, agent, options.cloning))
         return planned(imitating, planners.random_shooting, options.mpc, options.shown_episodes)
 
     return made | {
@@ -117,19 +116,18 @@ def imitator(dyna: Dyna, config: DQNConfig, imitation: CloningConfig) -> Agent:
     return cloning(dyna.agent, values, example, imitation, install)
 
 
-def behaviour(maze: Maze, real: Transition, begun: StackState, params: MazeParams) -> Metrics:
-    """What a real episode ``[1, T]`` that began in the state ``begun`` ``[1]`` was like:
-    ``oracle_return``, the most that was to be had; ``collisions``; ``time_to_goal``, the steps
-    until it is first reached, one more than the episode has where it is not; ``show_...``: films.
+def behaviour(maze: Maze, real: Transition, recorded: Recorded, params: MazeParams) -> Metrics:
+    """What a real episode ``[1, T]`` was like: ``oracle_return``, the most that was to be had;
+    ``collisions``; ``time_to_goal``, the steps until it is first reached, one more than the episode
+    has where it is not; ``show_...``: films.
     """
     steps = real.action.shape[1]
-    red, green, blue = jnp.moveaxis(real.next_obs[0, ..., -3:] > 0, -1, 0)
-    collision, at_goal = ((one & blue).any((-1, -2)) for one in (red, green))
-    reached = jnp.where(at_goal.any(), jnp.argmax(at_goal), steps) + 1
-    start = jax.tree.map(lambda leaf: leaf[0], begun.env)
+    state, info = jax.tree.map(lambda leaf: leaf[0], recorded)
+    start = jax.tree.map(lambda leaf: leaf[0], state)
+    reached = jnp.where(info["at_goal"].any(), jnp.argmax(info["at_goal"]), steps) + 1
     return {
         "oracle_return": planners.solve_maze(maze, start, params, steps).best_return,
-        "collisions": collision.sum().astype(jnp.float32),
+        "collisions": info["collision"].sum().astype(jnp.float32),
         "time_to_goal": reached.astype(jnp.float32),
         "show_action": real.action[0].astype(jnp.int8),
         "show_obstacles": start.obstacles.astype(jnp.int8),
@@ -166,14 +164,15 @@ def judge(
     act = study.greedy_policy(dyna, state, hparams)
 
     def some(key: Key) -> Metrics:
-        played = rollout(env, act, key, params, AT_ONCE, num_steps=steps)
-        starts = first_states(env, jax.random.clone(key), params, AT_ONCE).env
+        played, seen = rollout(
+            env, act, key, params, AT_ONCE, num_steps=steps, record=dyna.record,
+        )  # fmt: skip
+        starts = jax.tree.map(lambda leaf: leaf[:, 0], seen.state)
         plans = jax.vmap(lambda start: planners.solve_maze(env.env, start, params, steps))(starts)
-        hit = (played.next_obs[..., -3] & played.next_obs[..., -1]).any((-1, -2))
         return {
             "greedy_return": played.reward.sum(-1),
             "greedy_oracle": plans.best_return,
-            "greedy_collisions": hit.sum(-1),
+            "greedy_collisions": seen.info["collision"].sum(-1),
         }
 
     judged = jax.lax.map(some, jax.random.split(key, STARTS // AT_ONCE))

@@ -10,11 +10,11 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.envs import Revealed
 from jaxdyna.experiments.engine import Results
-from jaxdyna.rollout import first_states, rollout
+from jaxdyna.rollout import rollout
 from jaxdyna.statistics import bootstrap_interval
 from jaxdyna.types import Environment, Key
 
@@ -111,25 +111,31 @@ def best_returns(ground: Ground) -> np.ndarray:
     """The most that could be had in each episode, ``[runs, episodes]``."""
 
     def best(key: Key) -> jax.Array:
-        starts = first_states(ground.env, key, ground.params, ground.episodes)
-        return jax.vmap(lambda start: ground.best(start, ground.params))(starts)
+        """The first states of episodes that are played by the same key."""
+        _, states = rollout(
+            ground.env, lambda obs, key: jnp.int32(0), key, ground.params, ground.episodes,
+            num_steps=1, record=lambda state, after, info: state,
+        )  # fmt: skip
+        return jax.vmap(lambda start: ground.best(start, ground.params))(
+            jax.tree.map(lambda leaf: leaf[:, 0], states)
+        )
 
     return np.asarray(jax.jit(jax.vmap(best))(_keys(ground)))
 
 
 def play(ground: Ground, act: Act) -> np.ndarray:
     """Returns ``[runs, episodes]``."""
-    world = Revealed(ground.env)
 
     def whole(run: tuple[Any, Key]) -> jax.Array:
         learned, key = run
 
-        def decide(seen: jax.Array, key: Key) -> jax.Array:
-            return act(learned, *world.read(seen, ground.params), key)
+        def decide(obs: jax.Array, key: Key, state: Any) -> jax.Array:
+            return act(learned, obs, state, key)
 
         played = rollout(
-            world, decide, key, ground.params, ground.episodes, num_steps=ground.num_steps
-        )
+            ground.env, decide, key, ground.params, ground.episodes,
+            num_steps=ground.num_steps, sees_state=True,
+        )  # fmt: skip
         return played.reward.sum(-1)
 
     runs = jax.jit(lambda learned, keys: jax.lax.map(whole, (learned, keys)))

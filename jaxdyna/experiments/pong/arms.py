@@ -16,7 +16,7 @@ from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.guided import guided
 from jaxdyna.experiments.pong.options import TRUE_OBJECTS, PongOptions
 from jaxdyna.experiments.study import arms as study
-from jaxdyna.experiments.study.frames import frame_dyna
+from jaxdyna.experiments.study.frames import frame_dyna, true_dyna
 from jaxdyna.models import AdversarialHParams
 from jaxdyna.networks import ConvolutionalQ, PlaceQ, SignedReward
 from jaxdyna.rollout import rollout
@@ -30,8 +30,6 @@ SAID = study.SAID | {
     "its joint features.",
     "dyna_adversarial": "`dyna_l2` with the adversarial loss beside it.",
     "placebo": "dreams in our model, never trained.",
-    "oracle": "the same dreams in the true game, from a state read off the same frames; what they "
-    "cannot tell is drawn.",
 } | {
     name: f"`dyna_l2` whose dreams show {' and '.join(things)} as the true game has it, which runs "
     "beside; rewards are the model's."
@@ -52,10 +50,10 @@ def arms(options: PongOptions) -> dict[str, study.Made]:
     blurred = world.paper_model(options, reward=SignedReward(), reward_weight=options.reward_weight)
     hooks = study.Hooks(judge, show, piece=10, block=options.block)
     dyna, l2 = parts(game, agent, ours), parts(game, agent, blurred)
-    mended = {name: l2._replace(dream=guided(l2, true)) for name, true in TRUE_OBJECTS.items()}
+    mended = {name: guided(l2, true) for name, true in TRUE_OBJECTS.items()}
     blurring = {"dyna_l2": l2, "dyna_adversarial": parts(game, agent, blurred, True)} | mended
     return study.standard_arms(
-        dyna, options.dyna, hparams, guided(dyna), hooks,
+        dyna, options.dyna, hparams, true_dyna(dyna), hooks,
         busier=parts(game, study.busy(agent), ours).agent,
     ) | {
         name: partial(study.dyna_arm, each, options.dyna, theirs, hooks)

@@ -57,8 +57,8 @@ class PongOptions(GameOptions):
         named = [arm for arm in self.arms if arm in ("oracle", *TRUE_OBJECTS)]
         if named and (self.game, self.frames) != ("jax", "objects"):
             raise SettingError(
-                "arms", f"{' '.join(named)} read the pure game's state off its frames: leave out, "
-                "or choose --game jax and --frames objects",
+                "arms", f"{' '.join(named)} dream in the pure game, seen an object a "
+                "channel: leave out, or choose --game jax and --frames objects",
             )  # fmt: skip
         if self.game == "ale" and replace(self.hparams.env, max_steps=RULES.max_steps) != RULES:
             raise ValueError("--hparams.env is the pure game's: leave it out, or choose --game jax")

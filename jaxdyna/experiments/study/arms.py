@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, DynaState, make_init, make_step
+from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, make_init, make_step
 from jaxdyna.experiments.engine import Arm, Work
 from jaxdyna.sweep import RUNS
 from jaxdyna.types import Agent, Key
@@ -64,8 +64,8 @@ def dyna_arm(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, hooks: Hooks)
 
 
 def standard_arms(
-    dyna: Dyna, config: DynaConfig, hparams: DynaHParams, truth: Dream | None, hooks: Hooks, *,
-    replays: bool = True, untrained: Mapping[str, Any] | None = None, busier: Agent | None = None,
+    dyna: Dyna, config: DynaConfig, hparams: DynaHParams, true: Dyna | None, hooks: Hooks, *,
+    untrained: Mapping[str, Any] | None = None, busier: Agent | None = None,
 ) -> dict[str, Made]:  # fmt: skip
     """What makes each of the standard arms, by name; see `SAID`.
 
@@ -73,9 +73,8 @@ def standard_arms(
         dyna: the parts of ``dyna``.
         config: its counts.
         hparams: its values.
-        truth: the oracle's dreams; None where the true environment cannot be had.
+        true: the oracle's parts; None where the true environment cannot be had.
         hooks: what is wanted of the runs.
-        replays: whether the oracle's dreams begin in the replay, which then is kept for it.
         untrained: what the placebo changes in ``hparams`` beside the model's training.
         busier: a DQN with the updates after dreams made after real episodes; None where the agent
             cannot learn from old steps.
@@ -83,16 +82,15 @@ def standard_arms(
     make = partial(partial, dyna_arm, hooks=hooks)
     never: dict[str, Any] = {"model_trains": False, "disagreement_threshold": math.inf}
     dreaming = replace(hparams, **(never | dict(untrained or {})))
-    alone = dyna._replace(model=None, dream=None, diagnose=None)
+    learns_nothing: dict[str, Any] = {"model": None, "diagnose": None}
+    alone = dyna._replace(dream=None, **learns_nothing)
     arms: dict[str, Made] = {
         "model_free": make(alone, config, hparams),
         "dyna": make(dyna, config, hparams),
         "placebo": make(dyna, replace(config, rest_when_safe=False), dreaming),
     }
-    if truth is not None:
-        keeping = dyna._replace(diagnose=None) if replays else alone
-        arms["oracle"] = make(keeping._replace(dream=truth), replace(config, model_updates=0),
-                              hparams)  # fmt: skip
+    if true is not None:
+        arms["oracle"] = make(true._replace(**learns_nothing), config, hparams)
     if busier is not None:
         all_real = replace(hparams, **never, agent=replace(hparams.agent, fake_share=0.0))
         arms["more_updates"] = make(dyna._replace(diagnose=None), config, all_real)

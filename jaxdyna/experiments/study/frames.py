@@ -1,38 +1,80 @@
 """The parts of a Dyna run on stacked frames, the same for every world that is seen so."""
 
 from collections.abc import Callable
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxdyna import frame_replay, memory
+from jaxdyna.agents import real_memory
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, Metrics
-from jaxdyna.envs import FrameStack, Replayed, ReplayedParams
+from jaxdyna.envs import Replayed, ReplayedParams, StackState
 from jaxdyna.frame_replay import FrameReplay
 from jaxdyna.models import LearnedEnvironment, LearnedParams, doubtful, probability_rule
 from jaxdyna.models.evaluation import frame_errors
 from jaxdyna.types import Agent, DynamicsModel, Environment, Key, Transition
 
 
+class Recorded(NamedTuple):
+    """Of a step: the environment's state before it, below the stack, and what it says of it."""
+
+    state: Any
+    info: dict[str, jax.Array]
+
+
 def frame_dyna(
     env: Environment, agent: Agent, model: DynamicsModel,
-    watch: Callable[[Transition, Any, Any], Metrics] | None = None,
+    watch: Callable[[Transition, Recorded, Any], Metrics] | None = None,
+    shared: Callable[[Any], FrameReplay] | None = real_memory,
 ) -> Dyna:  # fmt: skip
     """Dyna whose dreams begin at any replayed stack of frames, and whose model sees rewards and
-    punishments more often than they come.
+    punishments more often than they come. Both come from the agent's own replay, where ``shared``
+    finds it in the agent's state.
     """
+    kept = memory.frames(_rewarded, shared=shared)
+
+    def params(state: DynaState, hparams: DynaHParams) -> LearnedParams:
+        return learned_params(state, hparams, kept.of(state))
+
+    def record(state: StackState, after: StackState, info: dict[str, jax.Array]) -> Recorded:
+        return Recorded(state.env, info)
+
     learned = LearnedEnvironment(env, model.predict, draw_stack, probability_rule, doubtful)
-    kept = memory.frames(lambda rest: jnp.stack([rest["reward"] < 0, rest["reward"] > 0]))
-    dream, errors = Dream(learned, learned_params), frame_errors(model.predict)
-    return Dyna(env, agent, model, dream, errors, watch, kept)
+    dream, errors = Dream(learned, params), frame_errors(model.predict)
+    return Dyna(env, agent, model, dream, errors, watch, kept, record=record)
 
 
-def learned_params(state: DynaState, hparams: DynaHParams) -> LearnedParams:
-    """What a learned environment plays with, out of a run's state."""
+def remembering(dyna: Dyna) -> Dyna:
+    """With a replay of the run's own, where an agent's does not serve."""
+    return dyna._replace(memory=dyna.memory and dyna.memory._replace(shared=None))
+
+
+@cache
+def true_dyna(dyna: Dyna) -> Dyna:
+    """The oracle's parts: dreams in the true environment, from states that are remembered beside
+    the frames.
+    """
+    env: Any = dyna.env
+
+    def params(state: DynaState, hparams: DynaHParams) -> ReplayedParams:
+        return ReplayedParams(hparams.env, state.replay, hparams.env.max_steps)
+
+    return with_states(dyna)._replace(dream=Dream(Replayed(env, draw_state), params))
+
+
+@cache
+def with_states(dyna: Dyna) -> Dyna:
+    """With a replay in which states lie beside the frames, for `draw_state`."""
+    return dyna._replace(memory=memory.frames(_rewarded, keep=lambda recorded: recorded.state))
+
+
+def learned_params(state: DynaState, hparams: DynaHParams, start: Any) -> LearnedParams:
+    """What a learned environment plays with, out of a run's state and where dreams start."""
     return LearnedParams(
         model=state.model.params,
-        start=state.replay,
+        start=start,
         termination_threshold=hparams.termination_threshold,
         disagreement_threshold=hparams.disagreement_threshold,
         max_steps=hparams.env.max_steps,
@@ -44,10 +86,11 @@ def draw_stack(key: Key, held: FrameReplay) -> jax.Array:
     return frame_replay.sample(held, key, ()).obs
 
 
-def true_dream(env: FrameStack, read: Callable[[jax.Array, Any, Key], Any]) -> Dream:
-    """The oracle's dreams; ``read`` as of `jaxdyna.envs.Replayed`."""
+def draw_state(key: Key, held: FrameReplay) -> tuple[jax.Array, Any]:
+    """The same, and the environment's state there."""
+    number = frame_replay.draw_numbers(held, key, ())
+    return frame_replay.take(held, number).obs, frame_replay.take_beside(held, number)
 
-    def params(state: DynaState, hparams: DynaHParams) -> ReplayedParams:
-        return ReplayedParams(hparams.env, state.replay, hparams.env.max_steps)
 
-    return Dream(Replayed(env, draw_stack, read), params)
+def _rewarded(rest: dict[str, jax.Array]) -> jax.Array:
+    return jnp.stack([rest["reward"] < 0, rest["reward"] > 0])
