@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from jaxdyna import replay
 from jaxdyna.conditional import where_needed
-from jaxdyna.parts import Dream, Dyna, DynaState, Expert, Metrics
+from jaxdyna.parts import Dream, Dyna, DynaState, Expert, Metrics, survived
 from jaxdyna.rollout import rollout
 from jaxdyna.settings import DynaConfig, DynaHParams
 from jaxdyna.types import Key, Transition
@@ -35,6 +35,7 @@ __all__ = [
     "make_train",
     "play_dreams",
     "play_real",
+    "survived",
     "train_model",
 ]
 
@@ -92,9 +93,9 @@ def make_step(
         state = replace(state, agent=agent)
         if dyna.watch is not None:
             metrics |= dyna.watch(real, recorded, hparams.env)
-        awake = real.terminated.any() if config.rest_when_safe else True
+        awake = True if dyna.safe is None else ~dyna.safe(real)
         if _remembers(dyna):
-            state = _remember(dyna, config, state, real, recorded, episode)
+            state = _remember(dyna, state, real, recorded, episode)
         if dyna.model is not None:
             key_judge, key_sample, key_update = jax.random.split(key_model, 3)
             judgement = {}
@@ -207,12 +208,9 @@ def _remembers(dyna: Dyna) -> bool:
     return asked and dyna.memory is not None and dyna.memory.shared is None
 
 
-def _remember(dyna, config, state, real, recorded, episode) -> DynaState:
+def _remember(dyna, state, real, recorded, episode) -> DynaState:
     """With the new episode."""
-    held = state.replay
-    if config.forget_every:
-        held = dyna.memory.forget(held, episode % config.forget_every == 0)
-    held = dyna.memory.add(held, real, recorded)
+    held = dyna.memory.add(state.replay, real, recorded, episode)
     starts = replay.add(state.starts, real.obs[:, 0], real.mask[:, 0])
     return replace(state, replay=held, starts=starts)
 
@@ -295,13 +293,14 @@ def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metri
         fake = play_dreams(dyna, config, agent, env_params, key_play, hparams)
         weighted = fake._replace(weight=jnp.full(fake.mask.shape, weight))
         agent, _ = learn(agent, weighted, key_update, hparams.agent)
-        return (agent, ~fake.terminated.any()), _summary("fake", fake)
+        safe = jnp.bool_(False) if dyna.safe is None else dyna.safe(fake)
+        return (agent, safe), _summary("fake", fake)
 
     def update_unless_safe(carry, _):
         agent, safe, key = carry
         key, key_play, key_update = jax.random.split(key, 3)
         work = partial(update, agent, key_play, key_update)
-        needed = ~safe if config.rest_when_safe else True
+        needed = True if dyna.safe is None else ~safe
         (agent, now_safe), metrics = where_needed(True, needed, axes, work, (agent, safe))
         return (agent, now_safe, key), metrics
 

@@ -33,8 +33,8 @@ def transitions() -> Memory:
     def forget(held: Replay, when: jax.Array) -> Replay:
         return replace(held, added=jnp.where(when, 0, held.added))
 
-    def put(held: Replay, new: Transition, recorded: Any) -> Replay:
-        del recorded
+    def put(held: Replay, new: Transition, recorded: Any, number: jax.Array) -> Replay:
+        del recorded, number
         return replay.add(held, new, new.mask)
 
     return Memory(start, put, draw_some, replay.take, forget)
@@ -59,7 +59,8 @@ def frames(
         beside = jax.eval_shape(keep, recorded)
         return frame_replay.init(capacity, episodes, example, num_frames, beside)
 
-    def put(held: FrameReplay, new: Transition, recorded: Any) -> FrameReplay:
+    def put(held: FrameReplay, new: Transition, recorded: Any, number: Any) -> FrameReplay:
+        del number
         return frame_replay.add(held, new, keep(recorded))
 
     def draw_some(
@@ -79,3 +80,12 @@ def frames(
         return frame_replay.take(held, numbers)._replace(weight=None)  # that is the agent's
 
     return Memory(start, put, draw_some, take, forget, shared)
+
+
+def forgetting(memory: Memory, every: int) -> Memory:
+    """A memory that is emptied every so many real episodes, as that of the paper's authors."""
+
+    def add(held: Any, new: Transition, recorded: Any, number: jax.Array) -> Any:
+        return memory.add(memory.forget(held, number % every == 0), new, recorded, number)
+
+    return memory._replace(add=add)

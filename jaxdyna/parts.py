@@ -63,6 +63,9 @@ class Dyna(NamedTuple):
         memory: how real transitions are kept for model and dreams; None: not at all.
         expert: who acts in some of the real episodes instead of the agent; None: no one.
         record: see `jaxdyna.rollout.rollout`, of the real episodes.
+        safe: ``episodes [N, T] -> bool``: whether they are as good as can be, such as `survived`.
+            After such a real episode neither model nor policy learns of dreams, and dreaming stops
+            after such fake ones: what works is left alone, and costs nothing. None: never.
     """
 
     env: Environment
@@ -74,6 +77,12 @@ class Dyna(NamedTuple):
     memory: Memory | None = memory.transitions()
     expert: Expert | None = None
     record: Record | None = None
+    safe: Callable[[Transition], jax.Array] | None = None
+
+
+def survived(episodes: Transition) -> jax.Array:
+    """None terminated: for tasks whose end is a failure."""
+    return ~episodes.terminated.any()
 
 
 @struct.dataclass

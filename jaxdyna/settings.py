@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -55,23 +54,12 @@ class DynaConfig:
     replay_capacity: int | None = setting(
         None, "Newest real transitions that are kept, at least one episode; None keeps all."
     )
-    forget_every: int = setting(
-        0,
-        "Real episodes after which the replay is emptied, as the authors' code does; 0 never.",
-        at_least=0,
-    )
     rare_share: float | None = setting(
         None,
         "At least this share of each model batch comes from rare transitions, those that ended an "
         "episode or what else jaxdyna.dyna.Dyna.memory takes for rare; None draws all alike.",
         at_least=0,
         at_most=1,
-    )
-    rest_when_safe: bool = setting(
-        False,
-        "For tasks whose end is a failure. Neither train the model nor dream after a real episode "
-        "that was truncated instead of terminated, and stop dreaming after a batch of fake "
-        "episodes of which none terminated: what works is left alone, and costs nothing.",
     )
 
     def __post_init__(self) -> None:
@@ -97,6 +85,7 @@ class DynaHParams:
     agent: Any = setting(help="The agent's.")
     model: Any = setting(help="The model's.")
     env: Any = setting(help="The real environment's params.")
+    dream: Any = setting((), "The dream's own, such as jaxdyna.models.DreamHParams.")
     model_trains: bool = setting(
         True, "False computes the model's updates and discards them (the placebo)."
     )
@@ -115,17 +104,4 @@ class DynaHParams:
         "Masks out dreams before this many real episodes, where that is more than the "
         "configuration's (which also saves their computation).",
         at_least=0,
-    )
-    termination_threshold: float = setting(
-        0.5,
-        "Probability of the end above which a fake episode terminates.",
-        at_least=0,
-        at_most=1,
-    )
-    disagreement_threshold: float = setting(
-        math.inf,
-        "How far the model may mistrust itself before a fake episode ends, in the units of "
-        "jaxdyna.types.Prediction.disagreement.",
-        at_least=0,
-        infinite=True,
     )

@@ -134,8 +134,8 @@ class Memory(NamedTuple):
     Attributes:
         init: ``(capacity, episodes, example, recorded) -> memory``: an empty one for so many
             transitions and episodes like the example ``[...]`` and what is recorded of one.
-        add: ``(memory, transitions, recorded) -> memory`` with whole episodes ``[N, T]`` and what
-            was recorded of their steps (`jaxdyna.dyna.Dyna.record`).
+        add: ``(memory, transitions, recorded, number) -> memory`` with whole episodes ``[N, T]``,
+            what was recorded of their steps (`jaxdyna.dyna.Dyna.record`) and the first's number.
         draw: ``(memory, key, shape, rare_share) -> numbers`` of transitions, int ``shape``, a share
             of them, or more, of rare ones (the memory knows which); None draws all alike.
         take: ``(memory, numbers) -> transitions`` with the numbers' axes leading.
@@ -145,7 +145,7 @@ class Memory(NamedTuple):
     """
 
     init: Callable[[int, int, Any, Any], Any]
-    add: Callable[[Any, Transition, Any], Any]
+    add: Callable[[Any, Transition, Any, jax.Array], Any]
     draw: Callable[[Any, Key, tuple[int, ...], float | None], jax.Array]
     take: Callable[[Any, jax.Array], Transition]
     forget: Callable[[Any, jax.Array], Any]
@@ -163,16 +163,14 @@ class Prediction(NamedTuple):
         next_obs: ``[*obs]``.
         reward: scalar.
         terminated: probability that the step ends the episode, a scalar in [0, 1].
-        disagreement: how little the model trusts itself, a scalar. Of an ensemble the standard
-            deviation over its members of what they predict of the state, in units of that target's
-            standard deviation over the data, the largest of all variables; of frames the number of
-            pixels that it expects to be wrong; of a single model of vectors 0.
+        uncertainty: how far from the truth the model expects to be, a scalar, in units that the
+            model says; 0 of one that does not know.
     """
 
     next_obs: jax.Array
     reward: jax.Array
     terminated: jax.Array
-    disagreement: jax.Array
+    uncertainty: jax.Array
 
 
 class DynamicsModel(NamedTuple):

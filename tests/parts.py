@@ -9,6 +9,7 @@ from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
 from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams
 from jaxdyna.envs import CartPole
 from jaxdyna.models import (
+    DreamHParams,
     LearnedEnvironment,
     LearnedParams,
     SupervisedConfig,
@@ -34,7 +35,7 @@ DYNA = Dyna(
     Dream(
         LEARNED,
         lambda state, hparams: LearnedParams(
-            state.model.params, state.starts, hparams.termination_threshold, max_steps=20
+            state.model.params, state.starts, hparams.dream, max_steps=20
         ),
     ),
     one_step_sums(MODEL.predict),
@@ -45,7 +46,10 @@ ORACLE = Dyna(ENV, AGENT, dream=Dream(ENV, lambda state, hparams: hparams.env))
 def hparams(**changes):
     """Default hyper-parameters of a run."""
     return DynaHParams(
-        ReinforceHParams(), SupervisedHParams(), ENV.default_params.replace(max_steps=20)
+        ReinforceHParams(),
+        SupervisedHParams(),
+        ENV.default_params.replace(max_steps=20),
+        DreamHParams(),
     ).replace(**changes)
 
 

@@ -29,13 +29,15 @@ DYNA = {
     "dream_updates": "dyna.dream_updates",
     "dream_episodes": "dyna.dream_episodes",
     "dream_steps": "dyna.dream_steps",
-    "rest_when_safe": "dyna.rest_when_safe",
-    "forget_every": "dyna.forget_every",
     "replay_capacity": "dyna.replay_capacity",
     "terminal_share": "dyna.rare_share",
     "rare_share": "dyna.rare_share",
+    "hparams.termination_threshold": "hparams.dream.termination_threshold",
+    "hparams.disagreement_threshold": "hparams.dream.uncertainty_threshold",
+    "dyna.rest_when_safe": "rest_when_safe",
+    "dyna.forget_every": "forget_every",
 }
-SETTINGS: dict[str, dict[str, str]] = {"cartpole": DYNA, "maze": DYNA, "pong": DYNA}
+SETTINGS = dict.fromkeys(("cartpole", "maze", "pong", "catch", "planning"), DYNA)
 """By module as `respelled`, with its part where it has one: dotted paths."""
 
 VALUES = {
@@ -53,6 +55,12 @@ DECIDED = {
     "pong hparams.env.points_to_win": "none, since an episode is so many steps",
     "pong hparams.env.*serve_delay": "--serve-delay decided it, and said 5 as they do today",
     "pong serve_delay": "cut: --hparams.env.serve-delay says it",
+    "maze *rest_when_safe": "cut: no episode there ends in a fall",
+    "pong *rest_when_safe": "cut: likewise",
+    "catch *rest_when_safe": "cut: likewise",
+    "maze *forget_every": "cut: the replay is the agent's",
+    "pong *forget_every": "cut: likewise",
+    "catch *forget_every": "cut: likewise",
     "pong look": "cut: each object's places, but what convolutions see where --frames is rgb",
     "pong glimpse": "cut with the glimpses, which no record has",
     "pong frame_skip": "cut: always 4",

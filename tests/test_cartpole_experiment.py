@@ -175,7 +175,7 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
         (["--out", "/dev/null/here"], "choose another folder"),
         (["--resume", "--out", "/tmp/jaxdyna-nothing-here"], "nothing to resume"),
         (["--model.ensemble", "0"], "at least 1"),
-        (["--hparams.termination-threshold", "2"], "between 0 and 1"),
+        (["--hparams.dream.termination-threshold", "2"], "between 0 and 1"),
         (["--hparams.fake-weight", "inf"], "at least 0"),
         (["--hparams.env.force-mag", "nan"], "finite"),
         (["--hparams.env.length", "0"], "above 0"),

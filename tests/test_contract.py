@@ -135,8 +135,8 @@ def test_model(name, episodes):
     obs, action = episodes.obs[0, 0], episodes.action[0, 0]
     prediction = model.predict(state.params, obs, action, jax.random.key(1))
     assert prediction.next_obs.shape == (4,) and 0 <= prediction.terminated <= 1
-    assert prediction.reward.shape == prediction.disagreement.shape == ()
-    assert (prediction.disagreement > 0) == (name == "ensemble")
+    assert prediction.reward.shape == prediction.uncertainty.shape == ()
+    assert (prediction.uncertainty > 0) == (name == "ensemble")
     key = jax.random.key(2)
     eager = model.update(state, episodes, key, hparams)
     assert_close(

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from parts import DYNA, ENV, MODEL_FREE, ORACLE, SMALL, assert_close, assert_same, hparams
 
-from jaxdyna import sweep
-from jaxdyna.dyna import DynaConfig, make_advance, make_init, make_train
+from jaxdyna import memory, sweep
+from jaxdyna.dyna import DynaConfig, make_advance, make_init, make_train, survived
 from jaxdyna.sweep import AXES
 
 WITHOUT_DREAMS = DYNA._replace(dream=None, diagnose=None)
@@ -83,18 +83,17 @@ def test_rest_when_safe():
     """After an episode that lasts to its horizon nothing is learned: in blocks, which skip the
     work, as alone, where it is discarded.
     """
-    config = DynaConfig(**{**vars(SMALL), "num_episodes": 12, "rest_when_safe": True})
-    config = replace(config, num_steps=12)
+    config, resting = replace(SMALL, num_episodes=12, num_steps=12), DYNA._replace(safe=survived)
     params = hparams(env=ENV.default_params.replace(max_steps=12), real_weight=0.0)
     keys = jax.random.split(jax.random.key(0), 5)
-    state, metrics = sweep(make_train(DYNA, config, AXES), keys, params, block=2)
+    state, metrics = sweep(make_train(resting, config, AXES), keys, params, block=2)
     full = metrics["real_length"] == 12
     rested = np.isnan(metrics["model_loss"])
     assert rested.any() and full[rested].all()  # a fall in the very last step is no rest
     np.testing.assert_array_equal(np.isnan(metrics["fake_return"])[..., 1:], rested[..., 1:])
     assert not np.isnan(metrics["model_loss"][~full]).any()
     for number, key in enumerate(jax.random.split(jax.random.key(0), 5)):
-        alone, _ = program(DYNA, config)(key, params)
+        alone, _ = program(resting, config)(key, params)
         assert_close(
             jax.tree.map(lambda leaf, at=number: leaf[0, at], state.agent), alone.agent, 1e-4
         )
@@ -146,8 +145,8 @@ def test_dreams_improve_the_policy_where_the_dream_is_true():
 
 
 def test_forgetting_empties_the_replay():
-    config = DynaConfig(**{**vars(SMALL), "forget_every": 4})
-    state, metrics = train(WITHOUT_DREAMS, config)
+    kept = memory.forgetting(memory.transitions(), 4)
+    state, metrics = train(WITHOUT_DREAMS._replace(memory=kept))
     assert state.replay.added == metrics["real_length"][4:].sum()
 
 

@@ -121,7 +121,7 @@ def test_a_model_says_how_many_pixels_it_expects_to_be_wrong(threshold, episodes
     believe = jax.jit(frame_probability(5, config))
     believed = np.asarray(believe(params, obs[None], action[None])[0])
     wrong = np.where(believed > threshold, 1 - believed, believed).sum()
-    np.testing.assert_allclose(prediction.disagreement, wrong, rtol=1e-4)
+    np.testing.assert_allclose(prediction.uncertainty, wrong, rtol=1e-4)
 
 
 def test_local_dynamics_see_the_edge_and_the_neighbourhood_only():

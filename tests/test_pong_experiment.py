@@ -156,7 +156,7 @@ def test_a_model_of_channels_sees_the_same_in_colours(played):
     said = seeing.predict(None, painted.obs[0], 0, jax.random.key(0))
     np.testing.assert_array_equal(said.next_obs[..., :-3], painted.obs[0, ..., 3:])
     np.testing.assert_array_equal(said.next_obs[..., -3:], painted.obs[0, ::-1, :, -3:])
-    assert said.reward == 2 and said.disagreement == plain.obs[0].sum()
+    assert said.reward == 2 and said.uncertainty == plain.obs[0].sum()
     seen, metrics = seeing.update(None, painted, jax.random.key(1), None)
     np.testing.assert_array_equal(seen, plain.obs)
     assert metrics["loss"] == plain.next_obs.sum()

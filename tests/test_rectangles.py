@@ -89,7 +89,7 @@ def test_it_learns_to_move_to_vanish_and_to_reward(batch):
     )
     np.testing.assert_array_equal(said.next_obs, batch.next_obs)
     np.testing.assert_array_equal(said.reward, batch.reward)
-    assert not said.terminated.any() and (said.disagreement < 1).all()
+    assert not said.terminated.any() and (said.uncertainty < 1).all()
     believed = jax.jit(rectangle_probability(SHAPE, 3, CONFIG))(
         state.params, batch.obs, batch.action
     )

@@ -10,13 +10,13 @@ from parts import DYNA, SMALL, assert_close, assert_same, hparams
 from jaxdyna import sweep
 from jaxdyna.agents import ReinforceHParams
 from jaxdyna.dyna import make_advance, make_init, make_train
-from jaxdyna.models import SupervisedHParams
+from jaxdyna.models import DreamHParams, SupervisedHParams
 from jaxdyna.sweep import make_pieces
 
 SWEPT = {
     "fake_weight": jnp.array([0.0, 1.0, 1.0]),
     "num_real_first": jnp.array([2, 2, 4]),
-    "termination_threshold": jnp.array([0.5, 0.2, 0.5]),
+    "dream": DreamHParams(jnp.array([0.5, 0.2, 0.5]), jnp.full(3, jnp.inf)),
     "agent": ReinforceHParams(
         learning_rate=jnp.array([0.01, 0.02, 0.01]), discount=jnp.array([0.99, 0.9, 0.99])
     ),

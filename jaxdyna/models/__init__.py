@@ -8,14 +8,15 @@ from jaxdyna.models.adversarial import (
     gan_adam,
 )
 from jaxdyna.models.environment import (
+    DreamHParams,
     LearnedEnvironment,
     LearnedParams,
     LearnedState,
-    doubtful,
     never,
     probability_rule,
     sample_rule,
     threshold_rule,
+    uncertain,
     uniform_start,
 )
 from jaxdyna.models.pixels import (
@@ -44,6 +45,7 @@ __all__ = [
     "AdversarialHParams",
     "Adversary",
     "AdversaryConfig",
+    "DreamHParams",
     "LearnedEnvironment",
     "LearnedParams",
     "LearnedState",
@@ -57,7 +59,6 @@ __all__ = [
     "SupervisedParams",
     "SupervisedState",
     "discriminator",
-    "doubtful",
     "frame_probability",
     "gan_adam",
     "never",
@@ -69,5 +70,6 @@ __all__ = [
     "supervised",
     "threshold_rule",
     "translated",
+    "uncertain",
     "uniform_start",
 ]

@@ -16,24 +16,31 @@ from jaxdyna.types import Environment, Key, Prediction
 
 
 @struct.dataclass
-class LearnedParams:
-    """What a learned environment takes in its params slot."""
+class DreamHParams:
+    """What ends a fake episode; can be swept."""
 
-    model: Any = setting(help="What the model's predict takes: its weights.")
-    start: Any = setting(None, "What the function that draws start states takes.")
     termination_threshold: float = setting(
         0.5,
         "Probability of the end above which a fake episode terminates (threshold_rule).",
         at_least=0,
         at_most=1,
     )
-    disagreement_threshold: float = setting(
+    uncertainty_threshold: float = setting(
         math.inf,
-        "How far the model may mistrust itself before a fake episode ends (threshold_rule, "
-        "doubtful), in the units of jaxdyna.types.Prediction.disagreement.",
+        "How uncertain the model may be before a fake episode ends (threshold_rule, uncertain), in "
+        "its own units: jaxdyna.types.Prediction.uncertainty.",
         at_least=0,
         infinite=True,
     )
+
+
+@struct.dataclass
+class LearnedParams:
+    """What a learned environment takes in its params slot."""
+
+    model: Any = setting(help="What the model's predict takes: its weights.")
+    start: Any = setting(None, "What the function that draws start states takes.")
+    hparams: DreamHParams = setting(factory=DreamHParams, help="What ends an episode.")
     max_steps: int = setting(200, "Steps until truncation.", at_least=1)
 
 
@@ -46,27 +53,27 @@ class LearnedState:
 
 
 def threshold_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
-    """Terminates where the predicted probability exceeds ``params.termination_threshold``, and
-    where an ensemble disagrees by more than ``params.disagreement_threshold``: what is not known
-    is as bad as the end (the pessimism of MOReL, Kidambi et al. 2020).
+    """Terminates where the predicted probability exceeds `DreamHParams.termination_threshold`, and
+    where the model is more uncertain than ``uncertainty_threshold``: what is not known is as bad as
+    the end (the pessimism of MOReL, Kidambi et al. 2020).
     """
     del key
-    ends = prediction.terminated > params.termination_threshold
-    return ends | (prediction.disagreement > params.disagreement_threshold)
+    ends = prediction.terminated > params.hparams.termination_threshold
+    return ends | (prediction.uncertainty > params.hparams.uncertainty_threshold)
 
 
 def probability_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
-    """Terminates where the predicted probability exceeds ``params.termination_threshold``."""
+    """Terminates where the predicted probability exceeds `DreamHParams.termination_threshold`."""
     del key
-    return prediction.terminated > params.termination_threshold
+    return prediction.terminated > params.hparams.termination_threshold
 
 
-def doubtful(prediction: Prediction, params: LearnedParams) -> jax.Array:
-    """Whether the model mistrusts a prediction by more than ``params.disagreement_threshold``. To
-    truncate there keeps dreams to where the model is good and calls it no end; the doubtful step is
-    the last (Pan et al. 2020 leave it out as well).
+def uncertain(prediction: Prediction, params: LearnedParams) -> jax.Array:
+    """Whether the model is more uncertain of a prediction than `DreamHParams.uncertainty_threshold`.
+    To truncate there keeps dreams to where the model is good and calls it no end; the uncertain
+    step is the last (Pan et al. 2020 leave it out as well).
     """
-    return prediction.disagreement > params.disagreement_threshold
+    return prediction.uncertainty > params.hparams.uncertainty_threshold
 
 
 def never(prediction: Prediction, params: LearnedParams) -> jax.Array:

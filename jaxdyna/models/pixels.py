@@ -97,7 +97,7 @@ def pixels(
     Returns:
         A `DynamicsModel` whose hparams are `PixelHParams`, with an adversary `AdversarialHParams`;
         ``predict`` returns the next stack, its new frame with every channel 0 or 255, or in
-        shades.
+        shades. The uncertainty is the number of pixels that it expects to be wrong.
 
     Raises:
         ValueError: where the network predicts pictures of another shape.
@@ -133,7 +133,7 @@ def pixels(
             next_obs=jnp.concatenate([obs[..., channels:], lit], axis=-1),
             reward=reward[0],
             terminated=jax.nn.sigmoid(logit[0]),
-            disagreement=jnp.asarray(wrong, jnp.float32),
+            uncertainty=jnp.asarray(wrong, jnp.float32),
         )
 
     update = _learner(module, num_actions, channels, config, adversary)

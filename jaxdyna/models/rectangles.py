@@ -79,7 +79,7 @@ def rectangles(
     Returns:
         A `DynamicsModel` whose hparams have a ``learning_rate``. ``predict`` returns the next
         stack, its new frame with every channel 0 or 255, a reward of -1, 0 or 1, no end, and for
-        the disagreement the number of edges that it expects to be wrong.
+        the uncertainty the number of edges that it expects to be wrong.
 
     Raises:
         ValueError: where ``groups`` are not the channels.
@@ -105,7 +105,7 @@ def rectangles(
             next_obs=jnp.concatenate([obs[..., channels:], frame], axis=-1),
             reward=(outcome.argmax(-1)[0] - 1).astype(jnp.float32),
             terminated=jnp.float32(0),
-            disagreement=_expected_wrong(odds, then)[0],
+            uncertainty=_expected_wrong(odds, then)[0],
         )
 
     return DynamicsModel(init, predict, _learner(module, num_actions, config))

@@ -114,7 +114,10 @@ def supervised(
         config: the program's settings.
 
     Returns:
-        A `DynamicsModel` whose hparams are `SupervisedHParams`.
+        A `DynamicsModel` whose hparams are `SupervisedHParams`. The uncertainty is the ensemble's
+        disagreement: the standard deviation over its members of what they predict of the state, in
+        units of that target's standard deviation over the data, the largest of all variables; 0 of
+        a single member.
     """
     config = config or SupervisedConfig()
     network = MLP((*config.hidden, obs_size + 2), weight_variance=config.weight_variance)
@@ -154,7 +157,7 @@ def supervised(
             next_obs=next_obs.mean(0),
             reward=reward.mean(0),
             terminated=jax.nn.sigmoid(logit).mean(0),
-            disagreement=spread * scaled.std(axis=0).max(),
+            uncertainty=spread * scaled.std(axis=0).max(),
         )
 
     def update(

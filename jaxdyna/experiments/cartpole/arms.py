@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna import agents, models, planners, replay
-from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState
+from jaxdyna import agents, memory, models, planners, replay
+from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, survived
 from jaxdyna.envs import CartPole, CartPoleParams
 from jaxdyna.experiments.cartpole import model
 from jaxdyna.experiments.cartpole.options import CartPoleOptions
@@ -79,13 +79,14 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
 def parts(options: CartPoleOptions) -> Dyna:
     """The parts of the ``dyna`` arm: one object, and so one program, whatever the hparams."""
     said = options.dream_start, options.dream_noise, options.authors_bug
-    return _parts(options.agent, options.model, *said, options.judged_on == "common")
+    learned = options.judged_on == "common", options.rest_when_safe, options.forget_every
+    return _parts(options.agent, options.model, *said, *learned)
 
 
 @cache
 def _parts(
     agent: agents.ReinforceConfig, config: models.SupervisedConfig, start: str, noise: float,
-    authors_bug: bool, common: bool,
+    authors_bug: bool, common: bool, rests: bool, forget_every: int,
 ) -> Dyna:  # fmt: skip
     env = CartPole()
     learner = models.supervised(4, env.num_actions, config)
@@ -98,7 +99,11 @@ def _parts(
 
     policy = agents.reinforce((4,), env.num_actions, agent)
     dream = Dream(models.LearnedEnvironment(env, predict, draw), params)
-    dyna = Dyna(env, policy, learner, dream, change_error(predict))
+    kept = memory.transitions()
+    dyna = Dyna(
+        env, policy, learner, dream, change_error(predict), safe=survived if rests else None,
+        memory=memory.forgetting(kept, forget_every) if forget_every else kept,
+    )  # fmt: skip
     return on_common(dyna, model.common_transitions()) if common else dyna
 
 

@@ -11,7 +11,7 @@ from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs import CartPoleParams
 from jaxdyna.experiments.engine import Options
 from jaxdyna.fields import LARGEST, changed, setting
-from jaxdyna.models import SupervisedConfig, SupervisedHParams
+from jaxdyna.models import DreamHParams, SupervisedConfig, SupervisedHParams
 from jaxdyna.planners import SearchConfig, ShootingConfig
 from jaxdyna.statistics import SolveRule
 
@@ -54,6 +54,14 @@ class CartPoleOptions(Options):
         "own", "what a model is judged on: each real episode before it is trained on it, or the "
         "same transitions for all models",
     )  # fmt: skip
+    rest_when_safe: bool = setting(
+        False, "whether nothing is learned of dreams after a real episode that did not end in a "
+        "fall, nor after fake ones of which none did: what works is left alone",
+    )  # fmt: skip
+    forget_every: int = setting(
+        0, "real episodes after which the replay is emptied, as the authors' code does; 0 never",
+        at_least=0,
+    )  # fmt: skip
     mcts_rollout: int = setting(
         20, "steps of the random episode in the model that says what a node is worth", at_least=1
     )
@@ -73,7 +81,7 @@ class CartPoleOptions(Options):
     mcts: SearchConfig = setting(factory=lambda: SearchConfig(simulations=16))
     cloning: CloningConfig = setting(factory=CloningConfig)
     hparams: DynaHParams = setting(factory=lambda: DynaHParams(
-        ReinforceHParams(), SupervisedHParams(), CartPoleParams(), termination_threshold=0.1,
+        ReinforceHParams(), SupervisedHParams(), CartPoleParams(), DreamHParams(0.1),
     ))  # fmt: skip
 
     def resolved(self) -> Self:
@@ -94,11 +102,11 @@ TUNED = CartPoleOptions(stop_after_solved=100, block=5)
 LEAN = changed(TUNED, {
     "preset": "lean", "episodes": 150, "stop_after_solved": None, "block": 1,
     "dyna.num_real_first": 3, "dyna.model_updates": 100, "dyna.model_batch": 32,
-    "dyna.dream_updates": 20, "dyna.dream_episodes": 16, "dyna.rest_when_safe": True,
+    "dyna.dream_updates": 20, "dyna.dream_episodes": 16, "rest_when_safe": True,
     "dyna.rare_share": 0.25,
     "model.hidden": (64, 64), "model.sum_loss": False, "model.one_hot": True, "model.ensemble": 3,
     "model.spread": 1.0, "model.weight_variance": 1.0, "model.optimizer": optax.adam,
     "hparams.agent.learning_rate": 0.02, "hparams.agent.discount": 0.995,
     "hparams.model.learning_rate": 3e-3, "hparams.real_weight": 0.0,
-    "hparams.disagreement_threshold": 0.3,
+    "hparams.dream.uncertainty_threshold": 0.3,
 })  # fmt: skip

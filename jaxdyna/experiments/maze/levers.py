@@ -45,7 +45,9 @@ LEARNING: dict[str, Overrides] = {
     "90% of a batch dreamed": {"hparams.agent.fake_share": 0.9},
     "100 updates on dreams to 100 on real steps": {"agent.fake_updates": 100},
     "800 updates on dreams to 100 on real steps": {"agent.fake_updates": 800},
-    "dreams broken off where half a pixel is in doubt": {"hparams.disagreement_threshold": 0.5},
+    "dreams broken off where half a pixel is in doubt": {
+        "hparams.dream.uncertainty_threshold": 0.5
+    },
     "dreams of the newest 2 real episodes only": {"agent.fake_capacity": 4000},
 }
 """What changes how dreams are used and what the agent does with them, with the same model."""

@@ -65,7 +65,7 @@ def dyna_arm(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, hooks: Hooks)
 
 def standard_arms(
     dyna: Dyna, config: DynaConfig, hparams: DynaHParams, true: Dyna | None, hooks: Hooks, *,
-    untrained: Mapping[str, Any] | None = None, busier: Agent | None = None,
+    untrained: Mapping[str, Any] = {}, busier: Agent | None = None,
 ) -> dict[str, Made]:  # fmt: skip
     """What makes each of the standard arms, by name; see `SAID`.
 
@@ -75,19 +75,21 @@ def standard_arms(
         hparams: its values.
         true: the oracle's parts; None where the true environment cannot be had.
         hooks: what is wanted of the runs.
-        untrained: what the placebo changes in ``hparams`` beside the model's training.
+        untrained: what the placebo changes in the dream's hparams, whose model is as uncertain as
+            it likes.
         busier: a DQN with the updates after dreams made after real episodes; None where the agent
             cannot learn from old steps.
     """
     make = partial(partial, dyna_arm, hooks=hooks)
-    never: dict[str, Any] = {"model_trains": False, "disagreement_threshold": math.inf}
-    dreaming = replace(hparams, **(never | dict(untrained or {})))
+    trusting = replace(hparams.dream, uncertainty_threshold=math.inf)
+    never: dict[str, Any] = {"model_trains": False, "dream": trusting}
+    dreaming = replace(hparams, model_trains=False, dream=replace(trusting, **untrained))
     learns_nothing: dict[str, Any] = {"model": None, "diagnose": None}
     alone = dyna._replace(dream=None, **learns_nothing)
     arms: dict[str, Made] = {
         "model_free": make(alone, config, hparams),
         "dyna": make(dyna, config, hparams),
-        "placebo": make(dyna, replace(config, rest_when_safe=False), dreaming),
+        "placebo": make(dyna._replace(safe=None), config, dreaming),
     }
     if true is not None:
         arms["oracle"] = make(true._replace(**learns_nothing), config, hparams)

@@ -12,7 +12,7 @@ from jaxdyna.agents import real_memory
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, Metrics
 from jaxdyna.envs import Replayed, ReplayedParams, StackState
 from jaxdyna.frame_replay import FrameReplay
-from jaxdyna.models import LearnedEnvironment, LearnedParams, doubtful, probability_rule
+from jaxdyna.models import LearnedEnvironment, LearnedParams, probability_rule, uncertain
 from jaxdyna.models.evaluation import frame_errors
 from jaxdyna.types import Agent, DynamicsModel, Environment, Key, Transition
 
@@ -41,7 +41,7 @@ def frame_dyna(
     def record(state: StackState, after: StackState, info: dict[str, jax.Array]) -> Recorded:
         return Recorded(state.env, info)
 
-    learned = LearnedEnvironment(env, model.predict, draw_stack, probability_rule, doubtful)
+    learned = LearnedEnvironment(env, model.predict, draw_stack, probability_rule, uncertain)
     dream, errors = Dream(learned, params), frame_errors(model.predict)
     return Dyna(env, agent, model, dream, errors, watch, kept, record=record)
 
@@ -75,8 +75,7 @@ def learned_params(state: DynaState, hparams: DynaHParams, start: Any) -> Learne
     return LearnedParams(
         model=state.model.params,
         start=start,
-        termination_threshold=hparams.termination_threshold,
-        disagreement_threshold=hparams.disagreement_threshold,
+        hparams=hparams.dream,
         max_steps=hparams.env.max_steps,
     )
 
