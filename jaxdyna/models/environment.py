@@ -69,7 +69,7 @@ def probability_rule(prediction: Prediction, params: LearnedParams, key: Key) ->
 
 
 def uncertain(prediction: Prediction, params: LearnedParams) -> jax.Array:
-    """Whether the model is more uncertain of a prediction than `DreamHParams.uncertainty_threshold`.
+    """Whether the model is less certain of a prediction than ``uncertainty_threshold`` allows.
     To truncate there keeps dreams to where the model is good and calls it no end; the uncertain
     step is the last (Pan et al. 2020 leave it out as well).
     """
