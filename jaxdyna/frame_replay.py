@@ -6,7 +6,7 @@ are found with the transitions before it, and the frame after its action with th
 What an episode lacks, the frames before its first and the one after its last, has a small store of
 its own, so that a dream that branched off from the middle of a real episode is held as well. Of
 the Maze's 16x16 RGB frames, in episodes of 200 steps, a transition takes 802 bytes; as two stacks
-of four frames it would take more than 6,144.
+of four frames it would take more than 6,144. A vector is a frame as well, of one axis.
 """
 
 from __future__ import annotations
@@ -94,14 +94,14 @@ def init(
         episodes: the most episodes whose last frame is held; transitions of older ones are no
             longer drawn.
         example: one transition: arrays, or anything with ``shape`` and ``dtype``; ``obs`` is
-            ``[H, W, C * num_frames]``.
+            ``[..., C * num_frames]``: of frames ``[H, W, C]``, or of vectors ``[C]``.
         num_frames: frames in a stack.
         beside: what else is kept of one transition, likewise.
 
     Raises:
         ValueError: where a count is not positive or the channels do not divide into frames.
     """
-    height, width, depth = example.obs.shape
+    *lead, depth = example.obs.shape
     if capacity < num_frames or episodes < 1 or num_frames < 1:
         raise ValueError(
             f"{capacity} transitions and {episodes} episodes in stacks of {num_frames}: give at "
@@ -113,7 +113,7 @@ def init(
     channels = depth // num_frames
 
     def frames(count: int, deep: int = 1) -> jax.Array:
-        return jnp.zeros((count, height, width, channels * deep), example.obs.dtype)
+        return jnp.zeros((count, *lead, channels * deep), example.obs.dtype)
 
     rest, more = jax.tree.map(
         lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), (_rest(example), beside)
@@ -218,9 +218,11 @@ def take(replay: FrameReplay, number: jax.Array) -> Transition:
     next_slot = (number + 1) % replay.capacity
     following = replay.frame[next_slot]
     ended = (number + 1 == replay.added) | (replay.episode[next_slot] != replay.episode[slot])
-    after = jnp.where(ended[..., None, None, None], replay.last_frame[row], following)
+    rank = replay.frame.ndim - 1
+    after = jnp.where(_over(ended, rank), replay.last_frame[row], following)
     # One stack of all frames, cut twice: two stacks are laid out byte by byte, six times slower.
-    stacked = _stack(jnp.concatenate([frames, after[..., None, :, :, :]], axis=-4))
+    after_all = jnp.expand_dims(after, -1 - rank)
+    stacked = _stack(jnp.concatenate([frames, after_all], axis=-1 - rank), rank)
     channels = after.shape[-1]
     rest = {name: leaf[slot] for name, leaf in replay.rest.items()}
     rest["mask"] = rest["mask"] & (replay.size > 0)
@@ -245,17 +247,23 @@ def _frames_of(
     older = older.reshape(*older.shape[:-1], deepest, replay.frame.shape[-1])
     # At time t a stack's frame j is number t + j of the episode's, its first stack included.
     place = replay.time[slot][..., None] + jnp.arange(deepest + 1)
+    rank = replay.frame.ndim - 1
     early = jnp.take_along_axis(
-        jnp.moveaxis(older, -2, -4),
-        jnp.minimum(place, deepest - 1)[..., None, None, None],
-        axis=-4,
+        jnp.moveaxis(older, -2, -1 - rank),
+        _over(jnp.minimum(place, deepest - 1), rank),
+        axis=-1 - rank,
     )
-    return jnp.where((place < deepest)[..., None, None, None], early, frames)
+    return jnp.where(_over(place < deepest, rank), early, frames)
 
 
-def _stack(frames: jax.Array) -> jax.Array:
-    """``[..., frames, H, W, C]`` to ``[..., H, W, frames * C]``."""
-    moved = jnp.moveaxis(frames, -4, -2)
+def _over(x: jax.Array, rank: int) -> jax.Array:
+    """With an axis more for each of a frame's."""
+    return x.reshape(*x.shape, *(1,) * rank)
+
+
+def _stack(frames: jax.Array, rank: int) -> jax.Array:
+    """``[..., frames, *frame, C]`` to ``[..., *frame, frames * C]``."""
+    moved = jnp.moveaxis(frames, -1 - rank, -2)
     return moved.reshape(*moved.shape[:-2], moved.shape[-2] * moved.shape[-1])
 
 

@@ -13,9 +13,9 @@ from parts import assert_close, assert_same
 from jaxdyna import rollout
 from jaxdyna.agents import DQNConfig, DQNHParams, dqn, exploration
 from jaxdyna.agents.dqn import _mixed
-from jaxdyna.envs import FrameStack, Maze, MazeParams
+from jaxdyna.envs import Catch, FrameStack, Maze, MazeParams
 from jaxdyna.losses import td_error
-from jaxdyna.networks import GlimpseQ
+from jaxdyna.networks import GlimpseQ, PerceptronQ
 
 SIZE = 4
 ENV = FrameStack(Maze(size=SIZE, num_obstacles=1))
@@ -230,23 +230,15 @@ def test_clear_errors(bad):
         DQNConfig(**bad)
 
 
-def test_it_finds_the_goal():
-    """Without obstacles on a small board the greedy way to the goal is the shortest."""
-    env = FrameStack(Maze(size=SIZE, num_obstacles=0))
-    params = MazeParams(max_steps=12)
-    agent = make(
-        network=GlimpseQ(5, size=3, hidden=(64,)), updates=25, batch=32, capacity=2000, episodes=200
-    )
-    hparams = DQNHParams(
-        epsilon_hold=40.0, epsilon_episodes=20.0, target_rate=0.02, reward_scale=1.0
-    )
+def returns_of(env, agent, hparams, steps, episodes):
+    """Of so many real episodes, learning after each."""
 
     def episode(carry, _):
         state, key = carry
         key, key_play, key_learn = jax.random.split(key, 3)
         played = rollout(
-            env, lambda obs, key: agent.act(state, obs, key, hparams), key_play, params, 1,
-            num_steps=12,
+            env, lambda obs, key: agent.act(state, obs, key, hparams), key_play,
+            env.default_params.replace(max_steps=steps), 1,
         )  # fmt: skip
         state, _ = agent.update(state, played, key_learn, hparams)
         return (state, key), played.reward.sum()
@@ -255,7 +247,33 @@ def test_it_finds_the_goal():
     def train(key):
         key_init, key = jax.random.split(key)
         start = (agent.init(key_init, hparams), key)
-        return jax.lax.scan(episode, start, length=80)[1]
+        return jax.lax.scan(episode, start, length=episodes)[1]
 
-    returns = train(jax.random.key(0))
+    return train(jax.random.key(0))
+
+
+def test_it_finds_the_goal():
+    """Without obstacles on a small board the greedy way to the goal is the shortest."""
+    agent = make(
+        network=GlimpseQ(5, size=3, hidden=(64,)), updates=25, batch=32, capacity=2000, episodes=200
+    )
+    hparams = DQNHParams(
+        epsilon_hold=40.0, epsilon_episodes=20.0, target_rate=0.02, reward_scale=1.0
+    )
+    returns = returns_of(FrameStack(Maze(size=SIZE, num_obstacles=0)), agent, hparams, 12, 80)
     assert returns[-10:].mean() >= 0.95 * (12 - 2 * (SIZE - 1) + 1)
+
+
+def test_it_learns_from_vectors():
+    """Catch as bsuite's board, and not as frames."""
+    config = DQNConfig(PerceptronQ(3, (32,)), updates=40, n_step=3, capacity=900, drift=0.0)
+    agent = dqn((12,), 3, config)
+    hparams = DQNHParams(5e-3, epsilon_hold=20.0, epsilon_episodes=20.0, target_rate=0.05)
+    returns = returns_of(Catch(rows=4, columns=3), agent, hparams, 3, 80)
+    assert returns[:20].mean() < 0.7 and returns[-20:].mean() > 0.9
+
+
+@pytest.mark.parametrize("shape", [(4, 4), (), (2, 2, 2, 2)])
+def test_what_is_neither_frame_nor_vector_is_refused(shape):
+    with pytest.raises(ValueError, match=r"give \(height, width, channels\) of a frame"):
+        dqn(shape, 2)

@@ -1,5 +1,7 @@
 """The same loop on pixels: DQN, a frame model, a replay of frames."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 from parts import assert_same
 
 from jaxdyna import frame_replay, memory
-from jaxdyna.agents import DQNConfig, DQNHParams, dqn
+from jaxdyna.agents import DQNConfig, DQNHParams, dqn, real_memory
 from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, make_train
 from jaxdyna.envs import FrameStack, Maze, MazeParams
 from jaxdyna.models import (
@@ -23,13 +25,11 @@ from jaxdyna.planners import solve_maze
 SIZE, STEPS, EPISODES, FIRST = 4, 8, 5, 3
 ENV = FrameStack(Maze(size=SIZE, num_obstacles=1))
 NETWORK = GlimpseQ(5, size=3, hidden=(16,))
-AGENT = dqn(
-    (SIZE, SIZE, 3), 5,
-    DQNConfig(
-        network=NETWORK, updates=2, fake_updates=2, batch=8, capacity=200, episodes=30,
-        fake_capacity=90, fake_episodes=30,
-    ),
+AGENT_CONFIG = DQNConfig(
+    network=NETWORK, updates=2, fake_updates=2, batch=8, capacity=200, episodes=30,
+    fake_capacity=90, fake_episodes=30,
 )  # fmt: skip
+AGENT = dqn((SIZE, SIZE, 3), 5, AGENT_CONFIG)
 MODEL = pixels((SIZE, SIZE, 3), 5, PixelConfig(LocalDynamics(3, (8,))))
 
 
@@ -37,19 +37,31 @@ def start(key, held):
     return frame_replay.sample(held, key, ()).obs
 
 
-def watch(real, begun, params):
-    plan = jax.vmap(lambda state: solve_maze(ENV.env, state, params, STEPS))(begun.env)
-    drawn = jax.vmap(ENV.env.frame)(begun.env)
+def watch(real, states, params):
+    begun = jax.tree.map(lambda leaf: leaf[:, 0], states)
+    plan = jax.vmap(lambda state: solve_maze(ENV.env, state, params, STEPS))(begun)
+    drawn = jax.vmap(ENV.env.frame)(begun)
     played = real.obs[:, 0, ..., -3:]
     return {"best": plan.best_return.mean(), "drawn": drawn, "played": played}
 
 
 LEARNED = LearnedEnvironment(ENV, MODEL.predict, start)
-DYNA = Dyna(
-    ENV, AGENT, MODEL,
-    Dream(LEARNED, lambda state, hparams: LearnedParams(state.model.params, state.replay)),
-    watch=watch, memory=memory.frames(lambda rest: rest["reward"] != 0),
-)  # fmt: skip
+
+
+def parts(shared):
+    """With the agent's own replay for the model's too, or another one."""
+    kept = memory.frames(lambda rest: rest["reward"] != 0, shared=shared)
+
+    def params(state, hparams):
+        return LearnedParams(state.model.params, kept.of(state))
+
+    return Dyna(
+        ENV, AGENT, MODEL, Dream(LEARNED, params), watch=watch, memory=kept,
+        record=lambda state, after, info: state.env,
+    )  # fmt: skip
+
+
+DYNA = parts(real_memory)
 CONFIG = DynaConfig(
     num_episodes=EPISODES, num_real_first=FIRST, num_steps=STEPS, model_updates=2, model_batch=8,
     dream_updates=2, dream_episodes=3, dream_steps=4, rare_share=0.5,
@@ -64,17 +76,25 @@ def run():
 
 def test_dreams_branch_off_from_real_frames(run):
     state, metrics = run
-    assert int(state.replay.size) == int(state.agent.real.size) == EPISODES * STEPS
+    assert state.replay is None and int(state.agent.real.size) == EPISODES * STEPS
     assert int(state.agent.fake.size) == (EPISODES - FIRST + 1) * 2 * 3 * 4
     dreaming = np.isfinite(np.asarray(metrics["fake_return"]))
     assert dreaming.tolist() == [number + 1 >= FIRST for number in range(EPISODES)]
     assert (metrics["fake_length"][dreaming] == 4).all()
-    real, numbers = state.replay, jnp.arange(EPISODES * STEPS)
+    real, numbers = real_memory(state.agent), jnp.arange(EPISODES * STEPS)
     frames = {frame.tobytes() for frame in np.asarray(frame_replay.take(real, numbers).obs)}
     fake = state.agent.fake.memory
     firsts = np.flatnonzero(np.asarray(fake.time)[: int(fake.added)] == 0)
     begun = np.asarray(frame_replay.take(fake, jnp.asarray(firsts)).obs)
     assert all(stack.tobytes() in frames for stack in begun)
+
+
+def test_real_steps_that_are_remembered_twice_change_nothing(run):
+    own = parts(None)
+    config = replace(CONFIG, replay_capacity=AGENT_CONFIG.capacity)
+    whole, metrics = jax.jit(make_train(own, config))(jax.random.key(0), HPARAMS)
+    assert int(whole.replay.size) == EPISODES * STEPS
+    assert_same((whole.agent, whole.model, metrics), (run[0].agent, run[0].model, run[1]))
 
 
 def test_watching_sees_the_state_an_episode_began_in(run):

@@ -130,7 +130,7 @@ def test_memory_draws_rare_transitions_and_forgets():
     episodes.reward[1, 3] = 1
     memory = frames(lambda rest: rest["reward"] > 0)
     add, forget = jax.jit(memory.add), jax.jit(memory.forget)
-    held = add(memory.init(64, 9, example(episodes)), episodes)
+    held = add(memory.init(64, 9, example(episodes), ()), episodes, (), 0)
 
     @partial(jax.jit, static_argnums=1)
     def mean_reward(held, share):
@@ -140,7 +140,7 @@ def test_memory_draws_rare_transitions_and_forgets():
     assert mean_reward(held, None) < 0.2
     emptied = forget(held, jnp.bool_(True))
     assert int(emptied.size) == 0
-    assert int(add(emptied, play(1, 2)).size) == 14
+    assert int(add(emptied, play(1, 2), (), 2).size) == 14
     assert int(forget(held, jnp.bool_(False)).size) == 14
 
 

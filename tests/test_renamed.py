@@ -76,7 +76,7 @@ def test_old_spellings_become_todays():
 
     for old, new in {
         "cartpole --preset paper --real-first 4 --no-rest-when-safe --terminal-share=0.5 --block 2":
-        "cartpole --preset tuned --dyna.num-real-first 4 --dyna.no-rest-when-safe "
+        "cartpole --preset tuned --dyna.num-real-first 4 --no-rest-when-safe "
         "--dyna.rare-share 0.5 --block 2",
         "cartpole_accuracy --arms 'dyna (paper preset)' model-free":
         "cartpole --part accuracy --arms 'dyna (tuned preset)' model-free",

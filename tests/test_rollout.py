@@ -20,12 +20,13 @@ from parts import (
 from jaxdyna import rollout
 from jaxdyna.envs import CartPole
 from jaxdyna.models import (
+    DreamHParams,
     LearnedEnvironment,
     LearnedParams,
-    doubtful,
     probability_rule,
     sample_rule,
     threshold_rule,
+    uncertain,
 )
 from jaxdyna.types import Prediction
 
@@ -118,7 +119,7 @@ def test_dreams_end_by_the_threshold_and_the_horizon():
     world = LearnedEnvironment(ENV, MODEL.predict, lambda key, start: start)
     dream = jax.jit(lambda key, params: rollout(world, random_act, key, params, 3, num_steps=9))
     for threshold, length in ((1.0, 9), (0.0, 1)):
-        params = LearnedParams(weights, jnp.zeros(4), threshold, max_steps=9)
+        params = LearnedParams(weights, jnp.zeros(4), DreamHParams(threshold), max_steps=9)
         episodes = dream(jax.random.key(1), params)
         np.testing.assert_array_equal(episodes.mask.sum(1), [length] * 3)
     assert LEARNED.num_actions == 2
@@ -131,11 +132,11 @@ def test_dreams_are_broken_off_in_doubt():
         return Prediction(obs, jnp.float32(1), jnp.float32(0.9), obs[0])
 
     world = LearnedEnvironment(
-        ENV, predict, lambda key, start: start, probability_rule, truncates=doubtful
+        ENV, predict, lambda key, start: start, probability_rule, truncates=uncertain
     )
     dream = jax.jit(lambda key, params: rollout(world, random_act, key, params, 2, num_steps=9))
     for doubt, end, length in ((3.0, 1.0, 4), (3.0, 0.5, 1), (np.inf, 1.0, 9)):
-        params = LearnedParams(None, jnp.zeros(4), end, doubt, max_steps=9)
+        params = LearnedParams(None, jnp.zeros(4), DreamHParams(end, doubt), max_steps=9)
         episodes = dream(jax.random.key(1), params)
         np.testing.assert_array_equal(episodes.mask.sum(1), [length] * 2)
         last = episodes.terminated[:, length - 1], episodes.truncated[:, length - 1]

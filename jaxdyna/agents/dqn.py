@@ -1,4 +1,4 @@
-"""Deep Q-learning from stacked frames (Mnih et al. 2015; van Hasselt et al. 2016), §4.2."""
+"""Deep Q-learning, §4.2 (Mnih et al. 2015; van Hasselt et al. 2016), from frames or vectors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from jaxdyna.agents.exploration import Exploration
 from jaxdyna.agents.prioritized import Prioritized
 from jaxdyna.frame_replay import FrameReplay
 from jaxdyna.losses import td_error
-from jaxdyna.networks import GlimpseQ
+from jaxdyna.networks import GlimpseQ, PerceptronQ
 from jaxdyna.types import Agent, Key, Transition
 from jaxdyna.windows import Window, take_window
 
@@ -55,31 +55,40 @@ LEARNED = ("params", "target", "opt_state", "steps", "real", "fake")
 
 
 def dqn(
-    frame_shape: tuple[int, int, int],
+    frame_shape: tuple[int, ...],
     num_actions: int,
     config: DQNConfig | None = None,
-    num_frames: int = 4,
+    num_frames: int | None = None,
 ) -> Agent:
     """A deep Q-network with a target network and a replay for real and one for fake transitions.
 
     Args:
         frame_shape: ``(height, width, channels)`` of one frame; an observation is uint8 ``[H, W,
-            channels * num_frames]``, as `jaxdyna.envs.FrameStack` makes it.
+            channels * num_frames]``, as `jaxdyna.envs.FrameStack` makes it. Or ``(n,)``: an
+            observation is a vector, float32.
         num_actions: number of discrete actions.
         config: the program's settings.
-        num_frames: frames in an observation.
+        num_frames: frames in an observation, by default 4; vectors in it, by default 1.
 
     Returns:
         An `Agent` whose hparams are `DQNHParams`.
+
+    Raises:
+        ValueError: where an observation is neither.
     """
-    config = config or DQNConfig()
-    network = config.network or GlimpseQ(num_actions)
-    values = partial(q_values, network)
-    obs_shape = (*frame_shape[:2], frame_shape[2] * num_frames)
+    if len(frame_shape) not in (1, 3):
+        raise ValueError(
+            f"frame_shape is {frame_shape}: give (height, width, channels) of a frame, or (n,) of "
+            "a vector"
+        )
+    config, pictures = config or DQNConfig(), len(frame_shape) == 3
+    network = config.network or (GlimpseQ if pictures else PerceptronQ)(num_actions)
+    values, num_frames = partial(q_values, network), num_frames or (4 if pictures else 1)
+    obs_shape = (*frame_shape[:-1], frame_shape[-1] * num_frames)
 
     def init(key: Key, hparams: DQNHParams) -> DQNState:
         params = network.init(key, jnp.zeros((1, *obs_shape)))
-        example = _example(obs_shape)
+        example = _example(obs_shape, np.uint8 if pictures else np.float32)
 
         def empty(capacity: int, episodes: int) -> Prioritized:
             return prioritized.init(frame_replay.init(capacity, episodes, example, num_frames))
@@ -164,7 +173,8 @@ def real_memory(state: DQNState) -> FrameReplay:
 
 def q_values(network: Any, params: Any, obs: jax.Array) -> jax.Array:
     """The values ``[N, A]`` of observations ``[N, *obs]`` by which an agent of `dqn` acts."""
-    return jnp.asarray(network.apply(params, obs.astype(jnp.float32) / 255))
+    seen = obs.astype(jnp.float32) / 255 if obs.dtype == jnp.uint8 else obs
+    return jnp.asarray(network.apply(params, seen))
 
 
 def _descend(
@@ -254,10 +264,10 @@ def _where(needed: jax.Array, work: Callable[[], Learned], state: DQNState) -> L
     return jax.lax.cond(needed, work, lambda: (state, {"loss": jnp.float32(0)}))
 
 
-def _example(obs_shape: tuple[int, ...]) -> Transition:
+def _example(obs_shape: tuple[int, ...], kind: Any) -> Transition:
     def of(shape: tuple[int, ...], dtype: Any) -> Any:
         return jax.ShapeDtypeStruct(shape, dtype)
 
     number, flag = of((), np.float32), of((), np.bool_)
-    obs = of(obs_shape, np.uint8)
+    obs = of(obs_shape, kind)
     return Transition(obs, of((), np.int32), number, obs, flag, flag, flag, number)

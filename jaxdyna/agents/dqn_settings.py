@@ -75,8 +75,8 @@ class DQNConfig:
 
     network: Any = setting(
         None,
-        "A module from frames [N, H, W, C] in [0, 1] to values [N, actions]; None for "
-        "jaxdyna.networks.GlimpseQ.",
+        "A module from frames [N, H, W, C] in [0, 1], or vectors [N, n], to values [N, actions]; "
+        "None for jaxdyna.networks.GlimpseQ, or PerceptronQ.",
     )
     updates: int = setting(
         200, "Gradient steps of the agent after each real episode.", at_least=0, everyday=True

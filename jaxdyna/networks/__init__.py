@@ -12,7 +12,7 @@ from jaxdyna.networks.layers import MLP, Convolution
 from jaxdyna.networks.patches import Discriminator, Patched, from_patches, to_patches
 from jaxdyna.networks.places import PlaceQ
 from jaxdyna.networks.rectangles import RectangleDynamics
-from jaxdyna.networks.values import ConvolutionalQ, GlimpseQ, glimpses
+from jaxdyna.networks.values import ConvolutionalQ, GlimpseQ, PerceptronQ, glimpses
 
 __all__ = [
     "MLP",
@@ -26,6 +26,7 @@ __all__ = [
     "LocalDynamics",
     "LocalReward",
     "Patched",
+    "PerceptronQ",
     "PlaceQ",
     "RectangleDynamics",
     "SignedReward",

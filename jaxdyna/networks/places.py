@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from jaxdyna.networks.values import dueling
+from jaxdyna.networks.values import dueling, normalised
 
 
 class PlaceQ(nn.Module):
@@ -43,9 +43,7 @@ class PlaceQ(nn.Module):
         newest = stack[..., -self.channels :]
         parts = [place, there, 8 * moved, apart, jnp.tanh(8 * apart), newest.max(1), newest.max(2)]
         x = jnp.concatenate([part.reshape(count, -1) for part in parts], axis=-1)
-        for features in self.hidden:
-            x = nn.relu(nn.LayerNorm()(nn.Dense(features)(x)))
-        return dueling(nn.Dense(self.num_actions + 1)(x))
+        return dueling(nn.Dense(self.num_actions + 1)(normalised(x, self.hidden)))
 
 
 def mean_places(x: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,4 +1,4 @@
-"""Values of actions from pictures."""
+"""Values of actions from pictures and vectors."""
 
 from __future__ import annotations
 
@@ -72,9 +72,31 @@ class GlimpseQ(nn.Module):
         x = jnp.concatenate([stack, jnp.ones_like(stack[..., :1])], axis=-1)
         seen = glimpses(x, by_row, by_column, self.size).reshape(count, -1)
         seen = jnp.concatenate([seen, place], axis=-1)
-        for features in self.hidden:
-            seen = nn.relu(nn.LayerNorm()(nn.Dense(features)(seen)))
-        return dueling(nn.Dense(self.num_actions + 1)(seen))
+        return dueling(nn.Dense(self.num_actions + 1)(normalised(seen, self.hidden)))
+
+
+class PerceptronQ(nn.Module):
+    """Values of actions from a vector: a perceptron, normalised as `ConvolutionalQ` is.
+
+    Attributes:
+        num_actions: how many values.
+        hidden: widths of its hidden layers.
+    """
+
+    num_actions: int
+    hidden: tuple[int, ...] = (128, 128)
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """From ``[N, n]`` to ``[N, actions]``, dueling (Wang et al. 2016)."""
+        return dueling(nn.Dense(self.num_actions + 1)(normalised(x, self.hidden)))
+
+
+def normalised(x: jax.Array, hidden: tuple[int, ...]) -> jax.Array:
+    """Dense layers of these widths on ``[N, n]``, each normalised; within a module's call."""
+    for features in hidden:
+        x = nn.relu(nn.LayerNorm()(nn.Dense(features)(x)))
+    return x
 
 
 def glimpses(x: jax.Array, by_row: jax.Array, by_column: jax.Array, size: int) -> jax.Array:
