@@ -18,6 +18,7 @@ RECORDS = sorted((ROOT / "experiments").glob("*/results.json"))
 DIARIES = [ROOT / "experiments" / "README.md", ROOT / "docs" / "development-log.md"]
 """Their commands keep the spelling of their day."""
 TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = sorted({*TEXTS, *DIARIES})
 NO_EXPERIMENT = "merge"
 
 
@@ -53,7 +54,7 @@ def test_a_recorded_command_parses_to_its_own_settings(path):
         assert said in path.with_name("report.md").read_text()
 
 
-@pytest.mark.parametrize("page", sorted({*TEXTS, *DIARIES}), ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_a_command_in_a_text_parses(page):
     for command in commands(page.read_text()):
         today = respelled(command)
