@@ -1,21 +1,61 @@
-"""The README's commands and code are what is there now."""
+"""README and the other pages: their code and links are what is there now, and they stay short."""
 
 import re
 from pathlib import Path
 
 import gymnasium
 import numpy as np
+import pytest
 
-README = Path(__file__).parents[1] / "README.md"
+ROOT = Path(__file__).parents[1]
+README = ROOT / "README.md"
+DOCS = sorted((ROOT / "docs").rglob("*.md"))
+OTHERS = [ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", ROOT / "experiments" / "README.md"]
+PAGES = [README, *DOCS, *OTHERS]
 SMALL = "num_episodes=4, num_real_first=2, model_updates=2"
 
 
+def name(page):
+    return str(page.relative_to(ROOT))
+
+
+def code(page):
+    """The Python of a page, all of it together."""
+    return "\n".join(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
+
+
+def prose(page):
+    """A page without its blocks of code."""
+    return re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page):
+    """What a link to a heading of the page may end in."""
+    headings = re.findall(r"^#+ (.+)$", prose(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def broken(page):
+    """Links of a page to files or headings that are not there."""
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        path, _, heading = link.partition("#")
+        target = page.parent / path if path else page
+        known = target.suffix != ".md" or not heading or heading in anchors(target)
+        if "://" not in link and not (target.exists() and known):
+            yield link
+
+
+def columns(page):
+    """Of the widest table."""
+    rows = [row for row in prose(page).splitlines() if row.startswith("|")]
+    return max((row.strip().strip("|").count("|") + 1 for row in rows), default=0)
+
+
 def test_the_code_runs_and_hands_a_trained_model_to_gymnasium():
-    blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
-    code, changes = re.subn(r"num_episodes=\d+, num_real_first=\d+", SMALL, "\n".join(blocks))
+    small, changes = re.subn(r"num_episodes=\d+, num_real_first=\d+", SMALL, code(README))
     assert changes == 1
     names = {}
-    exec(code, names)
+    exec(small, names)
     assert names["metrics"]["real_return"].shape == (2, 10, 4)
     dreamed = gymnasium.make("Dreamed-v0")
     obs, _ = dreamed.reset(seed=0)
@@ -25,11 +65,36 @@ def test_the_code_runs_and_hands_a_trained_model_to_gymnasium():
     gymnasium.registry.pop("Dreamed-v0")
 
 
-def test_its_links_and_modules_exist():
-    for page in (README, README.parent / "experiments" / "README.md"):
-        for path in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
-            assert (page.parent / path).exists(), path
-    text = README.read_text()
-    for module in re.findall(r"python -m jaxdyna\.(\S+)", text):
-        path = README.parent / "jaxdyna" / module.replace(".", "/")
+def test_the_code_of_the_other_pages_runs():
+    for page in DOCS:
+        exec(compile(code(page), name(page), "exec"), {})
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_and_modules_exist(page):
+    assert not list(broken(page))
+    for module in re.findall(r"python -m jaxdyna\.([\w.]*\w)", page.read_text()):
+        path = ROOT / "jaxdyna" / module.replace(".", "/")
         assert path.with_suffix(".py").exists() or (path / "__main__.py").exists(), module
+
+
+def test_broken_links_are_found(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# Here: and `there`\n[1](page.md) [2](#here-and-there) ![3](page.md#here-and-there)\n"
+        "[4](https://example.org/none)\n```python\nnot[0](a_link)\n```\n"
+        "[5](none.md) [6](#nowhere) [7](page.md#nowhere)\n"
+    )
+    assert list(broken(page)) == ["none.md", "#nowhere", "page.md#nowhere"]
+
+
+def test_the_readme_is_short_and_says_first_how_to_test():
+    lines = README.read_text().splitlines()
+    assert len(lines) <= 150
+    test = next(line for line in lines if "pytest" in line)  # what .ci/run starts
+    assert test.startswith("python3 -m venv .venv && ") and "-m pytest" in test
+
+
+@pytest.mark.parametrize("page", [README, *DOCS], ids=name)
+def test_tables_fit_a_page(page):
+    assert columns(page) <= 6

@@ -15,8 +15,10 @@ from jaxdyna.experiments.engine.session import prepared
 ROOT = Path(__file__).parents[1]
 PROG = "python -m jaxdyna.experiments."
 RECORDS = sorted((ROOT / "experiments").glob("*/results.json"))
-TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-LAB_BOOK = ROOT / "experiments" / "README.md"
+DIARIES = [ROOT / "experiments" / "README.md", ROOT / "docs" / "development-log.md"]
+"""Their commands keep the spelling of their day."""
+TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = sorted({*TEXTS, *DIARIES})
 NO_EXPERIMENT = "merge"
 
 
@@ -52,13 +54,13 @@ def test_a_recorded_command_parses_to_its_own_settings(path):
         assert said in path.with_name("report.md").read_text()
 
 
-@pytest.mark.parametrize("page", [*TEXTS, LAB_BOOK], ids=lambda page: page.parent.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_a_command_in_a_text_parses(page):
     for command in commands(page.read_text()):
         today = respelled(command)
         assert today is not None
         parsed(today[0], today[1:])
-        assert page == LAB_BOOK or today == command, "spell it as today"
+        assert page in DIARIES or today == command, "spell it as today"
 
 
 def test_commands_are_found_in_texts():

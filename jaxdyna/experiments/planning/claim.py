@@ -1,5 +1,5 @@
-"""Claim 21 in numbers: is a policy that learns from sub-optimal dreams more robust than one that is
-initialised from a planner (§1.1)?
+"""The paper's claim of robustness (§1.1) in numbers: is a policy that learns from sub-optimal
+dreams more robust than one that is initialised from a planner?
 
 Robust is what loses little with poorer models. All that imitate or dream are compared with good
 and with poor models, run by run.
