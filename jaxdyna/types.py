@@ -128,8 +128,8 @@ class Agent(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """How real transitions are kept for the model: `jaxdyna.memory.transitions`,
-    `jaxdyna.memory.frames`.
+    """How real transitions are kept for the model: `jaxdyna.replay.memory.transitions`,
+    `jaxdyna.replay.memory.frames`.
 
     Attributes:
         init: ``(capacity, episodes, example, recorded) -> memory``: an empty one for so many

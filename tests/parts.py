@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna import replay
 from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
 from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams
 from jaxdyna.envs import CartPole
@@ -17,12 +16,13 @@ from jaxdyna.models import (
     supervised,
 )
 from jaxdyna.models.evaluation import one_step_sums
+from jaxdyna.replay import ring
 from jaxdyna.types import Prediction
 
 ENV = CartPole()
 AGENT = reinforce((4,), 2, ReinforceConfig(hidden=(8,)))
 MODEL = supervised(4, 2, SupervisedConfig(hidden=(16,), normalise=True, sum_loss=False))
-LEARNED = LearnedEnvironment(ENV, MODEL.predict, lambda key, starts: replay.sample(starts, key, ()))
+LEARNED = LearnedEnvironment(ENV, MODEL.predict, lambda key, starts: ring.sample(starts, key, ()))
 SMALL = DynaConfig(
     num_episodes=6, num_real_first=2, num_steps=20, model_updates=2, model_batch=8, dream_episodes=2
 )

@@ -8,15 +8,13 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "jaxdyna"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = {
-    **dict.fromkeys(["fields", "types", "conditional", "convolution"], 0),
-    **dict.fromkeys(["settings", "networks", "losses", "envs", "replay"], 1),
-    **dict.fromkeys(["rollout", "frame_replay"], 2),
-    **dict.fromkeys(["memory", "windows"], 3),
-    **dict.fromkeys(["agents", "models", "planners", "parts"], 4),
-    "dyna": 5,
-    "sweep": 6,
-    "statistics": 6,
-    "experiments": 7,
+    **dict.fromkeys(["fields", "types"], 0),
+    **dict.fromkeys(["optimizers", "networks", "losses", "envs", "replay"], 1),
+    "rollout": 2,
+    **dict.fromkeys(["agents", "models", "planners"], 3),
+    "dyna": 4,
+    **dict.fromkeys(["sweep", "statistics"], 5),
+    "experiments": 6,
 }
 EXPERIMENTS = PACKAGE / "experiments"
 ROOMS = sorted(EXPERIMENTS.rglob("*.py"))

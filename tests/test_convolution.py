@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdyna.convolution import convolve
+from jaxdyna.networks.convolution import convolve
 
 
 def plain(x, kernel, padding):

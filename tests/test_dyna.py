@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from parts import DYNA, ENV, MODEL_FREE, ORACLE, SMALL, assert_close, assert_same, hparams
 
-from jaxdyna import memory, sweep
+from jaxdyna import sweep
 from jaxdyna.dyna import DynaConfig, make_advance, make_init, make_train, survived
+from jaxdyna.replay import memory
 from jaxdyna.sweep import AXES
 
 WITHOUT_DREAMS = DYNA._replace(dream=None, diagnose=None)

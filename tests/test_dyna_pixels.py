@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from parts import assert_same
 
-from jaxdyna import frame_replay, memory
 from jaxdyna.agents import DQNConfig, DQNHParams, dqn, real_memory
 from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, make_train
 from jaxdyna.envs import FrameStack, Maze, MazeParams
@@ -21,6 +20,8 @@ from jaxdyna.models import (
 )
 from jaxdyna.networks import GlimpseQ, LocalDynamics
 from jaxdyna.planners import solve_maze
+from jaxdyna.replay import frames as frame_replay
+from jaxdyna.replay import memory
 
 SIZE, STEPS, EPISODES, FIRST = 4, 8, 5, 3
 ENV = FrameStack(Maze(size=SIZE, num_obstacles=1))

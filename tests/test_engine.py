@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from parts import DYNA, SMALL, hparams
 
-from jaxdyna.conditional import where_needed
+from jaxdyna.dyna.conditional import where_needed
 from jaxdyna.experiments.engine import Arm, Engine, InputError, Work, checkpoint, runs_of, work
 from jaxdyna.experiments.engine.checkpoint import Store
 from jaxdyna.experiments.engine.work import Interrupted, joined

@@ -21,7 +21,7 @@ from jaxdyna.envs.pong_screen import CHANNELS
 from jaxdyna.fields import SettingError, changed, check, leaves, plain, restored, setting, value_at
 from jaxdyna.losses import PixelLoss, l1
 from jaxdyna.models.adversarial import gan_adam
-from jaxdyna.networks import EncoderDecoder, GlimpseQ, JointReward
+from jaxdyna.networks import EncoderDecoder, GlimpseQ, JointReward, Resolution
 from jaxdyna.statistics import SolveRule
 
 
@@ -225,7 +225,7 @@ ALL = {
     "supervised": models.SupervisedConfig((4,), spread=3.0, optimizer=optax.adam),
     "pixels": models.PixelConfig(loss=l1, threshold=None, reward=None, optimizer=gan_adam),
     "adversary": models.AdversaryConfig(optimizer=optax.adam),
-    "rectangles": models.RectangleConfig(groups=((0, 1), (2,)), dropout=0.1),
+    "rectangles": models.RectangleConfig(Resolution((2, 2)), groups=((0, 1), (2,)), dropout=0.1),
     "shooting": planners.ShootingConfig(temperature=math.inf),
     "cross_entropy": planners.CrossEntropyConfig(elites=4),
     "search": planners.SearchConfig(max_depth=3),

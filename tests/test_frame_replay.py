@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from parts import assert_same
 
-from jaxdyna import frame_replay, rollout
+from jaxdyna import rollout
 from jaxdyna.envs import FrameStack, Maze, MazeParams
-from jaxdyna.memory import frames
-from jaxdyna.replay import share_weight
-from jaxdyna.windows import take_window
+from jaxdyna.replay import frames as frame_replay
+from jaxdyna.replay.memory import frames
+from jaxdyna.replay.n_step import take_window
+from jaxdyna.replay.ring import share_weight
 
 ENV = FrameStack(Maze(size=5, num_obstacles=3))
 TAKE, ADD = jax.jit(frame_replay.take), jax.jit(frame_replay.add)

@@ -12,7 +12,6 @@ import tiny
 from parts import assert_same
 from renamed import respelled
 
-from jaxdyna import frame_replay
 from jaxdyna.experiments.catch.frames import TUNED as CATCH
 from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.engine.checkpoint import BlockStore
@@ -25,6 +24,7 @@ from jaxdyna.experiments.frames.worlds import Asked, Stage
 from jaxdyna.experiments.maze.frames import FRAMES, TUNED, MazeFrames
 from jaxdyna.experiments.report.frames import trail
 from jaxdyna.fields import SettingError, changed, plain, restored
+from jaxdyna.replay import frames as frame_replay
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Prediction
 

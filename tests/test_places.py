@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.networks import PlaceQ
-from jaxdyna.networks.places import mean_places
+from jaxdyna.networks import FeaturePointQ
+from jaxdyna.networks.q_networks import mean_places
 
 
 def picture(row, column, shade=1.0):
@@ -27,7 +27,7 @@ def test_a_blurred_thing_is_at_its_mean_place():
 
 
 def test_values_hang_on_where_things_are_and_how_they_move():
-    network = PlaceQ(6, hidden=(8,))
+    network = FeaturePointQ(6, hidden=(8,))
     still = jnp.tile(picture(1, 4), (1, 1, 1, 4))
     moving = jnp.concatenate([picture(1, column) for column in (1, 2, 3, 4)], axis=-1)
     params = network.init(jax.random.key(0), still)

@@ -12,9 +12,9 @@ from tools.pong_trace import Script, play, record, samples, script
 
 from jaxdyna import rollout
 from jaxdyna.envs import CHANNELS, CartPole, GreyFrames, Pong, PongParams
-from jaxdyna.envs.grey import grey
 from jaxdyna.envs.pong_rules import FIELD, advance, first_state
 from jaxdyna.envs.pong_screen import masks_by_colour
+from jaxdyna.envs.wrappers import grey
 
 TRACE = dict(np.load(Path(__file__).parent / "data" / "pong_trace.npz"))
 BALL = np.stack([TRACE["ball_row"], TRACE["ball_column"]], axis=-1).astype(np.int32)

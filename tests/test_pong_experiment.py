@@ -11,7 +11,6 @@ import pytest
 import tiny
 from renamed import respelled
 
-from jaxdyna import frame_replay
 from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette, Pong, Replayed
 from jaxdyna.envs.pong_screen import mixture_of, picture_of, shares_of
 from jaxdyna.experiments.engine import main
@@ -33,6 +32,7 @@ from jaxdyna.experiments.report.summaries import comparisons
 from jaxdyna.experiments.study.frames import draw_state
 from jaxdyna.fields import changed
 from jaxdyna.networks import SignedReward
+from jaxdyna.replay import frames as frame_replay
 from jaxdyna.statistics import summarise
 from jaxdyna.types import DynamicsModel, Prediction, Transition
 

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdyna import frame_replay
-from jaxdyna.agents import prioritized
 from jaxdyna.networks import GlimpseQ, glimpses
+from jaxdyna.replay import frames as frame_replay
+from jaxdyna.replay import prioritized
 from jaxdyna.types import Transition
 
 ADD, REPRIORITISE = jax.jit(prioritized.add), jax.jit(prioritized.reprioritise)

@@ -7,13 +7,21 @@ import pytest
 from parts import assert_close, assert_same
 
 from jaxdyna.models import PixelHParams, RectangleConfig, rectangle_probability, rectangles
-from jaxdyna.models.rectangles import surprise
-from jaxdyna.networks.contacts import Rectangles, each_alone, pairs, tiles
-from jaxdyna.networks.rectangles import EdgeOdds, drawn, rectangles_of
+from jaxdyna.models.objects import surprise
+from jaxdyna.networks.objects import (
+    EdgeOdds,
+    Rectangles,
+    Resolution,
+    drawn,
+    each_alone,
+    pairs,
+    rectangles_of,
+    tiles,
+)
 from jaxdyna.types import Transition
 
 SHAPE = (8, 10, 2)
-CONFIG = RectangleConfig((2, 2), groups=((1,), (0,)), hidden=(32,))
+CONFIG = RectangleConfig(Resolution((2, 2)), groups=((1,), (0,)), hidden=(32,))
 HPARAMS = PixelHParams(0.01)
 
 
@@ -104,7 +112,9 @@ def test_what_is_random_is_drawn_as_a_whole(batch):
     tossed = jax.tree.map(lambda leaf: leaf[:2], batch)._replace(
         obs=jnp.array([stack] * 2), next_obs=jnp.array(np.stack(ways)), action=jnp.zeros(2, int)
     )
-    config = RectangleConfig((2, 2), groups=((0, 1),), hidden=(32,), draws=True, dropout=0.1)
+    config = RectangleConfig(
+        Resolution((2, 2)), groups=((0, 1),), hidden=(32,), draws=True, dropout=0.1
+    )
     model, state, _ = trained(tossed, config, 300)
     drawn_frames = jax.jit(jax.vmap(model.predict, (None, None, None, 0)))(
         state.params, tossed.obs[0], jnp.int32(0), jax.random.split(jax.random.key(2), 64)
@@ -129,10 +139,13 @@ def test_masked_transitions_teach_nothing(batch):
     assert_close(update(garbage), update(some))
 
 
-@pytest.mark.parametrize("settings", [{"groups": ((0,),)}, {"reach": (0, 1)}, {"dropout": 1.0}])
+@pytest.mark.parametrize(
+    "settings", [{"groups": ((0,),)}, {"told": Resolution((0, 1))}, {"dropout": 1.0}]
+)
 def test_clear_errors(settings):
     with pytest.raises(ValueError, match=next(iter(settings))):
-        rectangles(SHAPE, 3, RectangleConfig(**{"groups": ((0, 1),), **settings}))
+        config = {"told": Resolution((2, 2)), "groups": ((0, 1),)} | settings
+        rectangles(SHAPE, 3, RectangleConfig(**config))
 
 
 def test_things_that_will_meet_are_told_to():
@@ -141,7 +154,9 @@ def test_things_that_will_meet_are_told_to():
     def told(ball_row):
         edge = jnp.array([[[3, 5, 6, 6], [ball_row, ball_row, 4, 4]]])
         shift = jnp.array([[[0.0, 0, 0, 0], [0, 0, 2, 2]]])
-        return np.asarray(pairs(Rectangles(edge, jnp.ones((1, 2), bool)), shift, (2, 3)))[0]
+        return np.asarray(
+            pairs(Rectangles(edge, jnp.ones((1, 2), bool)), shift, Resolution((2, 3)))
+        )[0]
 
     apart = 2 * (5 + 7)
     hit, past = told(5), told(0)
@@ -153,9 +168,9 @@ def test_things_that_will_meet_are_told_to():
 
 def test_what_is_not_there_is_not_told_of():
     gone = Rectangles(jnp.zeros((1, 4, 2, 4), jnp.int32), jnp.zeros((1, 4, 2), bool))
-    assert not each_alone(gone, (8, 10), (2, 2)).any()
+    assert not each_alone(gone, (8, 10), Resolution((2, 2))).any()
     now = Rectangles(gone.edge[:, -1], gone.seen[:, -1])
-    assert not pairs(now, jnp.zeros((1, 2, 4)), (2, 2)).any()
+    assert not pairs(now, jnp.zeros((1, 2, 4)), Resolution((2, 2))).any()
 
 
 def test_a_place_is_told_by_its_walls_alone():
@@ -165,7 +180,7 @@ def test_a_place_is_told_by_its_walls_alone():
         boxes = [[4, 4, left + step, left + step] for step in range(4)]
         edge = jnp.array(boxes)[None, :, None]
         past = Rectangles(edge, jnp.ones((1, 4, 1), bool))
-        return np.asarray(each_alone(past, (9, 40), (2, 3)))[0]
+        return np.asarray(each_alone(past, (9, 40), Resolution((2, 3))))[0]
 
     numbers = 4 * 4
     np.testing.assert_array_equal(at(10)[numbers:], at(20)[numbers:])

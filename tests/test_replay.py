@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdyna import replay
+from jaxdyna.replay import ring
 
-SAMPLE = jax.jit(replay.sample, static_argnums=2)
-DISTINCT = jax.jit(replay.sample_distinct, static_argnums=2)
-WEIGH = jax.jit(lambda buffer, marked, share: replay.share_weight(buffer.held, marked, share))
+SAMPLE = jax.jit(ring.sample, static_argnums=2)
+DISTINCT = jax.jit(ring.sample_distinct, static_argnums=2)
+WEIGH = jax.jit(lambda buffer, marked, share: ring.share_weight(buffer.held, marked, share))
 
 
 def stored(buffer):
@@ -17,11 +17,11 @@ def stored(buffer):
 
 
 def test_keeps_the_newest_and_skips_what_is_masked():
-    buffer = replay.init(5, {"x": jax.ShapeDtypeStruct((), jnp.int32)})
+    buffer = ring.init(5, {"x": jax.ShapeDtypeStruct((), jnp.int32)})
     assert buffer.size == 0
-    buffer = replay.add(buffer, {"x": jnp.arange(1, 5)}, jnp.array([True, False, True, True]))
+    buffer = ring.add(buffer, {"x": jnp.arange(1, 5)}, jnp.array([True, False, True, True]))
     assert stored(buffer) == [1, 3, 4]
-    buffer = jax.jit(replay.add)(buffer, {"x": jnp.arange(5, 9)}, jnp.ones(4, bool))
+    buffer = jax.jit(ring.add)(buffer, {"x": jnp.arange(5, 9)}, jnp.ones(4, bool))
     assert stored(buffer) == [4, 5, 6, 7, 8]
     assert int(buffer.added) == 7
 
@@ -29,14 +29,14 @@ def test_keeps_the_newest_and_skips_what_is_masked():
 def test_flattens_leading_axes_of_every_leaf():
     example = {"x": jnp.zeros((), jnp.int32), "y": jnp.zeros((2, 3))}
     items = {"x": jnp.arange(6).reshape(2, 3), "y": jnp.arange(36.0).reshape(2, 3, 2, 3)}
-    buffer = replay.add(replay.init(8, example), items, jnp.ones((2, 3), bool))
+    buffer = ring.add(ring.init(8, example), items, jnp.ones((2, 3), bool))
     np.testing.assert_array_equal(buffer.data["x"][:6], np.arange(6))
     np.testing.assert_array_equal(buffer.data["y"][4], np.arange(24, 30).reshape(2, 3))
 
 
 def test_samples_every_held_item_equally_and_nothing_else():
-    buffer = replay.init(10, {"x": jnp.int32(0)})
-    buffer = replay.add(buffer, {"x": jnp.arange(1, 5)}, jnp.ones(4, bool))
+    buffer = ring.init(10, {"x": jnp.int32(0)})
+    buffer = ring.add(buffer, {"x": jnp.arange(1, 5)}, jnp.ones(4, bool))
     drawn = SAMPLE(buffer, jax.random.key(0), (100, 80))["x"]
     assert drawn.shape == (100, 80)
     counts = np.bincount(np.asarray(drawn).ravel(), minlength=6)
@@ -45,8 +45,8 @@ def test_samples_every_held_item_equally_and_nothing_else():
 
 
 def test_distinct_draws_repeat_nothing():
-    buffer = replay.init(10, {"x": jnp.int32(0)})
-    buffer = replay.add(buffer, {"x": jnp.arange(1, 8)}, jnp.ones(7, bool))
+    buffer = ring.init(10, {"x": jnp.int32(0)})
+    buffer = ring.add(buffer, {"x": jnp.arange(1, 8)}, jnp.ones(7, bool))
     drawn = DISTINCT(buffer, jax.random.key(0), 7)["x"]
     assert sorted(drawn.tolist()) == list(range(1, 8))
     fewer = [DISTINCT(buffer, jax.random.key(seed), 3)["x"] for seed in range(30)]
@@ -54,8 +54,8 @@ def test_distinct_draws_repeat_nothing():
 
 
 def test_marked_items_get_their_share_of_the_draws():
-    buffer = replay.init(2000, {"x": jnp.int32(0)})
-    buffer = replay.add(buffer, {"x": jnp.arange(1000)}, jnp.ones(1000, bool))
+    buffer = ring.init(2000, {"x": jnp.int32(0)})
+    buffer = ring.add(buffer, {"x": jnp.arange(1000)}, jnp.ones(1000, bool))
 
     def draw(marked, share):
         weight = WEIGH(buffer, marked, share)
@@ -80,15 +80,15 @@ def test_marked_items_get_their_share_of_the_draws():
 
 
 def test_vmapped_buffers_fill_at_their_own_pace():
-    buffers = jax.vmap(lambda _: replay.init(4, {"x": jnp.int32(0)}))(jnp.arange(2))
+    buffers = jax.vmap(lambda _: ring.init(4, {"x": jnp.int32(0)}))(jnp.arange(2))
     masks = jnp.array([[True, True, True], [False, True, False]])
-    buffers = jax.vmap(replay.add, (0, None, 0))(buffers, {"x": jnp.arange(3) + 1}, masks)
+    buffers = jax.vmap(ring.add, (0, None, 0))(buffers, {"x": jnp.arange(3) + 1}, masks)
     np.testing.assert_array_equal(buffers.added, [3, 1])
     np.testing.assert_array_equal(buffers.data["x"], [[1, 2, 3, 0], [2, 0, 0, 0]])
 
 
 def test_clear_errors():
     with pytest.raises(ValueError, match="at least 1"):
-        replay.init(0, jnp.zeros(()))
+        ring.init(0, jnp.zeros(()))
     with pytest.raises(ValueError, match="5 items at once"):
-        replay.add(replay.init(3, jnp.zeros(())), jnp.zeros(5), jnp.ones(5, bool))
+        ring.add(ring.init(3, jnp.zeros(())), jnp.zeros(5), jnp.ones(5, bool))

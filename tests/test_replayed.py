@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdyna import frame_replay
 from jaxdyna.envs import Catch, CatchParams, FrameStack, Maze, MazeParams, Replayed, ReplayedParams
 from jaxdyna.experiments.study.frames import draw_state
+from jaxdyna.replay import frames as frame_replay
 from jaxdyna.rollout import rollout
 
 WORLDS = {

@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna import replay
 from jaxdyna.fields import check, setting
-from jaxdyna.replay import Replay
-from jaxdyna.settings import Optimizer, optimizer_setting
+from jaxdyna.optimizers import Optimizer, optimizer_setting
+from jaxdyna.replay import ring
+from jaxdyna.replay.ring import Replay
 from jaxdyna.types import Agent, Key, Transition
 
 Loss = Callable[[jax.Array, jax.Array], jax.Array]
@@ -113,7 +113,7 @@ def cloning(
     def init(key: Key, hparams: Any) -> CloningState:
         own = agent.init(key, hparams)
         params = jax.tree.map(jnp.copy, own.params)
-        return CloningState(own, replay.init(config.capacity, example), params, jnp.bool_(False))
+        return CloningState(own, ring.init(config.capacity, example), params, jnp.bool_(False))
 
     def imitate(params: Any, shown: Replay, key: Key) -> tuple[Any, jax.Array]:
         optimizer = config.optimizer(config.learning_rate)
@@ -124,7 +124,7 @@ def cloning(
 
         def step(carry, key):
             params, opt_state = carry
-            batch = replay.sample(shown, key, (config.batch,))
+            batch = ring.sample(shown, key, (config.batch,))
             loss, grads = jax.value_and_grad(loss_fn)(params, batch)
             updates, opt_state = optimizer.update(grads, opt_state, params)
             return (optax.apply_updates(params, updates), opt_state), loss
@@ -137,7 +137,7 @@ def cloning(
         key_own, key_imitate = jax.random.split(key)
         seen = transitions.weights > 0
         items = (transitions.obs, transitions.action.astype(state.shown.data[1].dtype))
-        shown = replay.add(state.shown, items, seen)
+        shown = ring.add(state.shown, items, seen)
         own, params = state.agent, state.imitating
         if config.learns_too:
             own, _ = agent.update(own, transitions, key_own, hparams)

@@ -13,16 +13,17 @@ import numpy as np
 import optax
 from flax import struct
 
-from jaxdyna import frame_replay
-from jaxdyna.agents import exploration, prioritized
+from jaxdyna.agents import exploration
 from jaxdyna.agents.dqn_settings import DQNConfig, DQNHParams
 from jaxdyna.agents.exploration import Exploration
-from jaxdyna.agents.prioritized import Prioritized
-from jaxdyna.frame_replay import FrameReplay
 from jaxdyna.losses import td_error
 from jaxdyna.networks import GlimpseQ, PerceptronQ
+from jaxdyna.replay import frames as frame_replay
+from jaxdyna.replay import prioritized
+from jaxdyna.replay.frames import FrameReplay
+from jaxdyna.replay.n_step import Window, take_window
+from jaxdyna.replay.prioritized import Prioritized
 from jaxdyna.types import Agent, Key, Transition
-from jaxdyna.windows import Window, take_window
 
 Values = Callable[[Any, jax.Array], jax.Array]
 Learned = tuple["DQNState", dict[str, jax.Array]]

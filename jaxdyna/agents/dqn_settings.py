@@ -9,7 +9,7 @@ import optax
 from flax import struct
 
 from jaxdyna.fields import SettingError, check, setting
-from jaxdyna.settings import Optimizer, optimizer_setting
+from jaxdyna.optimizers import Optimizer, optimizer_setting
 
 
 @struct.dataclass

@@ -14,7 +14,7 @@ from flax import struct
 from jaxdyna.fields import check, setting
 from jaxdyna.losses import discounted_returns, policy_gradient, standardise
 from jaxdyna.networks import MLP
-from jaxdyna.settings import Optimizer, optimizer_setting
+from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.types import Agent, Key, Transition
 
 

@@ -3,14 +3,12 @@
 from jaxdyna.envs.atari import AtariParams, AtariPong, AtariState
 from jaxdyna.envs.cartpole import CartPole, CartPoleParams, CartPoleState
 from jaxdyna.envs.catch import Catch, CatchParams, CatchState
-from jaxdyna.envs.grey import GreyFrames
 from jaxdyna.envs.gymnasium import HostEnv, HostVectorEnv, register
 from jaxdyna.envs.maze import Maze, MazeParams, MazeState
 from jaxdyna.envs.pong import Pong
 from jaxdyna.envs.pong_rules import PongParams, PongState
 from jaxdyna.envs.pong_screen import CHANNELS, ObjectMasks, Palette
-from jaxdyna.envs.replayed import Replayed, ReplayedParams
-from jaxdyna.envs.stack import FrameStack, StackState
+from jaxdyna.envs.wrappers import FrameStack, GreyFrames, Replayed, ReplayedParams, StackState
 
 __all__ = [
     "CHANNELS",

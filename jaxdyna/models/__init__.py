@@ -19,18 +19,18 @@ from jaxdyna.models.environment import (
     uncertain,
     uniform_start,
 )
+from jaxdyna.models.objects import (
+    RectangleConfig,
+    RectangleState,
+    rectangle_probability,
+    rectangles,
+)
 from jaxdyna.models.pixels import (
     PixelConfig,
     PixelHParams,
     PixelState,
     frame_probability,
     pixels,
-)
-from jaxdyna.models.rectangles import (
-    RectangleConfig,
-    RectangleState,
-    rectangle_probability,
-    rectangles,
 )
 from jaxdyna.models.supervised import (
     SupervisedConfig,
@@ -39,7 +39,6 @@ from jaxdyna.models.supervised import (
     SupervisedState,
     supervised,
 )
-from jaxdyna.models.translated import translated
 
 __all__ = [
     "AdversarialHParams",
@@ -69,7 +68,6 @@ __all__ = [
     "sample_rule",
     "supervised",
     "threshold_rule",
-    "translated",
     "uncertain",
     "uniform_start",
 ]

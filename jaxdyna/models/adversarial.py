@@ -15,7 +15,7 @@ from flax import struct
 from jaxdyna.fields import check, setting
 from jaxdyna.losses import deceive, discern
 from jaxdyna.networks import Discriminator
-from jaxdyna.settings import Optimizer, optimizer_setting
+from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.types import Key
 
 

@@ -15,7 +15,7 @@ from jaxdyna.fields import check, setting
 from jaxdyna.losses import PixelLoss, bce, l1, l2
 from jaxdyna.models.adversarial import Adversary, gan_adam
 from jaxdyna.networks import FrameModel, LocalDynamics, LocalReward
-from jaxdyna.settings import Optimizer, optimizer_setting
+from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 
 

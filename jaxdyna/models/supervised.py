@@ -13,7 +13,7 @@ from flax import struct
 from jaxdyna.fields import check, setting
 from jaxdyna.losses import transition_loss
 from jaxdyna.networks import MLP
-from jaxdyna.settings import Optimizer, optimizer_setting
+from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 
 

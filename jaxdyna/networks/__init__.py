@@ -9,10 +9,15 @@ from jaxdyna.networks.frames import (
     SignedReward,
 )
 from jaxdyna.networks.layers import MLP, Convolution
+from jaxdyna.networks.objects import RectangleDynamics, Resolution
 from jaxdyna.networks.patches import Discriminator, Patched, from_patches, to_patches
-from jaxdyna.networks.places import PlaceQ
-from jaxdyna.networks.rectangles import RectangleDynamics
-from jaxdyna.networks.values import ConvolutionalQ, GlimpseQ, PerceptronQ, glimpses
+from jaxdyna.networks.q_networks import (
+    ConvolutionalQ,
+    FeaturePointQ,
+    GlimpseQ,
+    PerceptronQ,
+    glimpses,
+)
 
 __all__ = [
     "MLP",
@@ -20,6 +25,7 @@ __all__ = [
     "ConvolutionalQ",
     "Discriminator",
     "EncoderDecoder",
+    "FeaturePointQ",
     "FrameModel",
     "GlimpseQ",
     "JointReward",
@@ -27,8 +33,8 @@ __all__ = [
     "LocalReward",
     "Patched",
     "PerceptronQ",
-    "PlaceQ",
     "RectangleDynamics",
+    "Resolution",
     "SignedReward",
     "from_patches",
     "glimpses",

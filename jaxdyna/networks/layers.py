@@ -7,7 +7,7 @@ from collections.abc import Callable
 import jax
 from flax import linen as nn
 
-from jaxdyna.convolution import convolve
+from jaxdyna.networks.convolution import convolve
 
 
 class MLP(nn.Module):
@@ -35,7 +35,7 @@ class MLP(nn.Module):
 
 
 class Convolution(nn.Module):
-    """A convolution of stride 1 with a bias, by `jaxdyna.convolution.convolve`.
+    """A convolution of stride 1 with a bias, by `jaxdyna.networks.convolution.convolve`.
 
     Attributes:
         features: channels of the output.

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna import agents, memory, models, planners, replay
+from jaxdyna import agents, models, planners
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, survived
 from jaxdyna.envs import CartPole, CartPoleParams
 from jaxdyna.experiments.cartpole import model
@@ -18,6 +18,7 @@ from jaxdyna.experiments.study.accuracy import on_common
 from jaxdyna.experiments.study.frames import learned_params
 from jaxdyna.experiments.study.planners import acting, random_episodes, without_guide
 from jaxdyna.models.evaluation import Predict, change_error
+from jaxdyna.replay import memory, ring
 from jaxdyna.types import Agent
 
 IMITATES = (
@@ -37,9 +38,9 @@ TRUTH: dict[str, Any] = {
 }  # fmt: skip
 """The oracle's dreams, from the start."""
 STARTS: dict[str, Any] = {
-    "observed": (lambda key, firsts: replay.sample(firsts, key, ()), lambda state: state.starts),
+    "observed": (lambda key, firsts: ring.sample(firsts, key, ()), lambda state: state.starts),
     "uniform": (models.uniform_start(-0.1, 0.1), lambda state: jnp.zeros(4)),
-    "branched": (lambda key, held: replay.sample(held, key, ()).obs, lambda state: state.replay),
+    "branched": (lambda key, held: ring.sample(held, key, ()).obs, lambda state: state.replay),
 }
 """Where dreams begin: how that is drawn, and from what of a run's state."""
 

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna import replay
 from jaxdyna.dyna import DynaConfig, DynaHParams, DynaState, Metrics, make_train, train_model
 from jaxdyna.experiments.cartpole.arms import parts
 from jaxdyna.experiments.cartpole.model import explained
@@ -24,6 +23,7 @@ from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import Curves, by_class
 from jaxdyna.fields import changed, setting
 from jaxdyna.models.evaluation import one_step_sums, open_loop
+from jaxdyna.replay import ring
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Key, Transition
 
@@ -78,7 +78,7 @@ def work(options: DataOptions) -> Work:
         policies = [_policy(setup, state.agent, share) for share in JUDGES.values()]
         single = partial(_single, setup, count=options.transitions)
         found = [*map(single, policies, jax.random.split(key_play, 2))]
-        found.append(replay.sample_distinct(state.replay, key_test, options.transitions))
+        found.append(ring.sample_distinct(state.replay, key_test, options.transitions))
         fitted = [*map(partial(_fit, setup), jax.random.split(key_fit, len(SOURCES)), found)]
         return _judge(setup, fitted, policies, key_judge, options.judged_episodes)
 
@@ -105,8 +105,8 @@ def _single(setup: Setup, act: Any, key: Key, count: int) -> Transition:
     # From so close to upright no episode falls within 8 steps: these always hold enough.
     episodes = setup.play(act, key_play, -(-count // 8))
     example = jax.tree.map(lambda leaf: leaf[0, 0], episodes)
-    held = replay.add(replay.init(episodes.mask.size, example), episodes, episodes.mask)
-    return replay.sample_distinct(held, key_sample, count)
+    held = ring.add(ring.init(episodes.mask.size, example), episodes, episodes.mask)
+    return ring.sample_distinct(held, key_sample, count)
 
 
 def _fit(setup: Setup, key: Key, data: Transition) -> Any:
@@ -114,7 +114,7 @@ def _fit(setup: Setup, key: Key, data: Transition) -> Any:
     dyna, config, hparams = setup
     key_init, key_rows, key_update = jax.random.split(key, 3)
     model = dyna.model.init(key_init, hparams.model)
-    held = replay.Replay(data, jnp.int32(len(data.mask)))
+    held = ring.Replay(data, jnp.int32(len(data.mask)))
     state = DynaState(agent=None, model=model, replay=held, starts=None, key=key)
     return train_model(dyna, config, state, key_rows, key_update, hparams)[0].params
 

@@ -9,7 +9,6 @@ from typing import Any, ClassVar, Literal
 import jax
 import jax.numpy as jnp
 
-from jaxdyna import frame_replay
 from jaxdyna.envs import FrameStack
 from jaxdyna.experiments.engine import Arm, Experiment, Work
 from jaxdyna.experiments.frames.options import FrameOptions, Training, decayed_adam
@@ -17,11 +16,12 @@ from jaxdyna.experiments.frames.report import FrameReport
 from jaxdyna.experiments.frames.training import frame_arms, frame_work
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
 from jaxdyna.fields import setting
-from jaxdyna.frame_replay import FrameReplay
 from jaxdyna.losses import bce, l1, l2
 from jaxdyna.models import PixelConfig, frame_probability, pixels
 from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalReward
-from jaxdyna.replay import share_weight
+from jaxdyna.replay import frames as frame_replay
+from jaxdyna.replay.frames import FrameReplay
+from jaxdyna.replay.ring import share_weight
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Key, Transition
 

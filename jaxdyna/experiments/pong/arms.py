@@ -18,7 +18,7 @@ from jaxdyna.experiments.pong.options import TRUE_OBJECTS, PongOptions
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.frames import frame_dyna, true_dyna
 from jaxdyna.models import AdversarialHParams
-from jaxdyna.networks import ConvolutionalQ, PlaceQ, SignedReward
+from jaxdyna.networks import ConvolutionalQ, FeaturePointQ, SignedReward
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Environment, Key, Transition
 
@@ -40,7 +40,7 @@ SAID = study.SAID | {
 def arms(options: PongOptions) -> dict[str, study.Made]:
     """What makes each arm that can be had of this game."""
     game = world.game_of(options)
-    network: Any = PlaceQ if options.frames == "objects" else ConvolutionalQ
+    network: Any = FeaturePointQ if options.frames == "objects" else ConvolutionalQ
     agent = replace(study.sized(options.agent, options.dyna), network=network(game.num_actions))
     hparams, rate = options.hparams, options.paper_rate
     if options.game == "ale":

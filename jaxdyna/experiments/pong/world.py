@@ -14,8 +14,8 @@ from jaxdyna.experiments.engine import Options
 from jaxdyna.experiments.frames.options import decayed_adam
 from jaxdyna.fields import setting
 from jaxdyna.losses import PixelLoss, l2
-from jaxdyna.networks import Discriminator, EncoderDecoder, Patched
-from jaxdyna.types import DynamicsModel
+from jaxdyna.networks import Discriminator, EncoderDecoder, Patched, Resolution
+from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 
 PALETTES = {"objects": CHANNELS, "rgb": Palette()}
 """The colours of each kind of frame."""
@@ -86,7 +86,7 @@ def paper_model(
 def our_model(options: GameOptions, weight_decay: float, **more: Any) -> models.RectangleConfig:
     """Categories for the places of each object's edges."""
     reach = (80 // options.scale, FASTEST * FRAME_SKIP // options.scale + 1)
-    return models.RectangleConfig(reach, hidden=options.hidden, dropout=options.dropout,
+    return models.RectangleConfig(Resolution(reach), hidden=options.hidden, dropout=options.dropout,
                                   optimizer=decayed_adam(weight_decay), **more)  # fmt: skip
 
 
@@ -104,8 +104,20 @@ def in_colours(model: DynamicsModel, palette: Palette) -> DynamicsModel:
     """A model of objects in channels of their own, in a world of these colours."""
     if palette == CHANNELS:
         return model
-    return models.translated(model, lambda stack: in_channels(stack, palette),
-                             lambda frame: picture_of(frame > 127, palette))  # fmt: skip
+
+    def seen(stack: jax.Array) -> jax.Array:
+        return in_channels(stack, palette)
+
+    def predict(params: Any, obs: jax.Array, action: jax.Array, key: Key) -> Prediction:
+        said = model.predict(params, seen(obs), action, key)
+        frame = picture_of(said.next_obs[..., -3:] > 127, palette)
+        return said._replace(next_obs=jnp.concatenate([obs[..., 3:], frame], axis=-1))
+
+    def update(state: Any, transitions: Transition, key: Key, hparams: Any) -> Any:
+        obs, next_obs = map(seen, (transitions.obs, transitions.next_obs))
+        return model.update(state, transitions._replace(obs=obs, next_obs=next_obs), key, hparams)
+
+    return DynamicsModel(model.init, predict, update)
 
 
 def in_channels(stack: jax.Array, palette: Palette) -> jax.Array:

@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxdyna import frame_replay, memory
 from jaxdyna.agents import real_memory
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, Metrics
 from jaxdyna.envs import Replayed, ReplayedParams, StackState
-from jaxdyna.frame_replay import FrameReplay
 from jaxdyna.models import LearnedEnvironment, LearnedParams, probability_rule, uncertain
 from jaxdyna.models.evaluation import frame_errors
+from jaxdyna.replay import frames as frame_replay
+from jaxdyna.replay import memory
+from jaxdyna.replay.frames import FrameReplay
 from jaxdyna.types import Agent, DynamicsModel, Environment, Key, Transition
 
 

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import jax
 from flax import struct
 
-from jaxdyna import memory
+from jaxdyna.dyna.config import DynaConfig, DynaHParams
+from jaxdyna.replay import memory
 from jaxdyna.rollout import Record
-from jaxdyna.settings import DynaConfig, DynaHParams
 from jaxdyna.types import Agent, DynamicsModel, Environment, Key, Memory, Transition
 
 Metrics = dict[str, jax.Array]

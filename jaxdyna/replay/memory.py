@@ -9,35 +9,36 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna import frame_replay, replay
-from jaxdyna.frame_replay import FrameReplay
-from jaxdyna.replay import Replay, share_weight
+from jaxdyna.replay import frames as frame_replay
+from jaxdyna.replay import ring
+from jaxdyna.replay.frames import FrameReplay
+from jaxdyna.replay.ring import Replay, share_weight
 from jaxdyna.types import Key, Memory, Transition
 
 
 def transitions() -> Memory:
-    """`jaxdyna.replay`; rare are transitions that ended an episode."""
+    """`jaxdyna.replay.ring`; rare are transitions that ended an episode."""
 
     def start(capacity: int, episodes: int, example: Transition, recorded: Any) -> Replay:
         del episodes, recorded
-        return replay.init(capacity, example)
+        return ring.init(capacity, example)
 
     def draw_some(
         held: Replay, key: Key, shape: tuple[int, ...], rare_share: float | None
     ) -> jax.Array:
         if rare_share is None:
-            return replay.draw_positions(held, key, shape)
+            return ring.draw_positions(held, key, shape)
         weight = share_weight(held.held, held.data.terminated, rare_share)
-        return replay.draw_positions(held, key, shape, weight)
+        return ring.draw_positions(held, key, shape, weight)
 
     def forget(held: Replay, when: jax.Array) -> Replay:
         return replace(held, added=jnp.where(when, 0, held.added))
 
     def put(held: Replay, new: Transition, recorded: Any, number: jax.Array) -> Replay:
         del recorded, number
-        return replay.add(held, new, new.mask)
+        return ring.add(held, new, new.mask)
 
-    return Memory(start, put, draw_some, replay.take, forget)
+    return Memory(start, put, draw_some, ring.take, forget)
 
 
 def frames(
@@ -46,7 +47,7 @@ def frames(
     shared: Callable[[Any], FrameReplay] | None = None,
     keep: Callable[[Any], Any] = lambda recorded: (),
 ) -> Memory:
-    """`jaxdyna.frame_replay`.
+    """`jaxdyna.replay.frames`.
 
     Args:
         rare: from `FrameReplay.rest` to bool ``[capacity]``: which transitions are rare.

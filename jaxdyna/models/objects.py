@@ -17,9 +17,15 @@ import optax
 from flax import struct
 
 from jaxdyna.fields import check, setting
-from jaxdyna.networks.contacts import Rectangles
-from jaxdyna.networks.rectangles import EdgeOdds, RectangleDynamics, drawn, rectangles_of
-from jaxdyna.settings import Optimizer, optimizer_setting
+from jaxdyna.networks.objects import (
+    EdgeOdds,
+    RectangleDynamics,
+    Rectangles,
+    Resolution,
+    drawn,
+    rectangles_of,
+)
+from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 
 
@@ -27,8 +33,9 @@ from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 class RectangleConfig:
     """What decides the program."""
 
-    reach: tuple[int, int] = setting(
-        (20, 4), "The most rows and columns that a thing moves in a step.", at_least=1
+    told: Resolution = setting(
+        help="How finely places and moves are told, and the most that a thing moves in a step.",
+        at_least=1,
     )
     groups: tuple[tuple[int, ...], ...] = setting(
         ((0,), (1,), (2,)),
@@ -44,6 +51,7 @@ class RectangleConfig:
     draws: bool = setting(
         False, "Draw one of the possible futures; False takes each edge's likeliest place."
     )
+    rewards: tuple[float, ...] = setting((-1.0, 0.0, 1.0), "All that a step can earn.")
     reward_weight: float = setting(
         1.0, "Weight of the reward's cross-entropy beside the edges'.", at_least=0
     )
@@ -64,7 +72,7 @@ class RectangleState:
 def rectangles(
     frame_shape: tuple[int, int, int],
     num_actions: int,
-    config: RectangleConfig | None = None,
+    config: RectangleConfig,
     num_frames: int = 4,
 ) -> DynamicsModel:
     """A model of stacked frames in each of whose channels one rectangle is lit, or nothing.
@@ -78,13 +86,12 @@ def rectangles(
 
     Returns:
         A `DynamicsModel` whose hparams have a ``learning_rate``. ``predict`` returns the next
-        stack, its new frame with every channel 0 or 255, a reward of -1, 0 or 1, no end, and for
+        stack, its new frame with every channel 0 or 255, one of ``config.rewards``, no end, and for
         the uncertainty the number of edges that it expects to be wrong.
 
     Raises:
         ValueError: where ``groups`` are not the channels.
     """
-    config = config or RectangleConfig()
     height, width, channels = frame_shape
     module = _module(frame_shape, config)
 
@@ -103,7 +110,7 @@ def rectangles(
         frame = jnp.where(drawn(then, (height, width))[0], 255, 0).astype(obs.dtype)
         return Prediction(
             next_obs=jnp.concatenate([obs[..., channels:], frame], axis=-1),
-            reward=(outcome.argmax(-1)[0] - 1).astype(jnp.float32),
+            reward=jnp.array(config.rewards)[outcome.argmax(-1)[0]],
             terminated=jnp.float32(0),
             uncertainty=_expected_wrong(odds, then)[0],
         )
@@ -141,8 +148,9 @@ def _module(frame_shape: tuple[int, int, int], config: RectangleConfig) -> Recta
     if sorted(channel for group in config.groups for channel in group) != list(range(channels)):
         raise ValueError(f"groups are {config.groups}: name each of the {channels} channels once")
     return RectangleDynamics(
-        frame_shape[:2], config.reach, config.groups, config.hidden, config.dropout
-    )
+        frame_shape[:2], config.told, config.groups, config.hidden, config.dropout,
+        len(config.rewards),
+    )  # fmt: skip
 
 
 def _learner(
@@ -169,7 +177,8 @@ def _learner(
 
         def loss_fn(params: Any) -> tuple[jax.Array, dict[str, jax.Array]]:
             odds, _, outcome = module.apply({"params": params}, past, one_hot, true, key)  # type: ignore[misc]
-            kind = jnp.sign(batch.reward).astype(jnp.int32) + 1
+            apart = jnp.abs(batch.reward[:, None] - jnp.array(config.rewards))
+            kind = apart.argmin(-1)
             parts = {
                 "frame_loss": surprise(odds, truth).sum(-1),
                 "reward_loss": optax.softmax_cross_entropy_with_integer_labels(outcome, kind),

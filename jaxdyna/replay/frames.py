@@ -1,8 +1,8 @@
 """A replay of stacked frames that keeps every frame once.
 
-What `jaxdyna.replay` would store of a transition, two stacks, holds each frame eight times where a
-stack is four deep. Here a transition keeps only the newest frame of its ``obs``; its older frames
-are found with the transitions before it, and the frame after its action with the one that follows.
+What `jaxdyna.replay.ring` would store of a transition, two stacks, holds each frame eight times
+where a stack is four deep. Here a transition keeps only the newest frame of its ``obs``; its older
+frames are found with the transitions before it, and the frame after its action with the one after.
 What an episode lacks, the frames before its first and the one after its last, has a small store of
 its own, so that a dream that branched off from the middle of a real episode is held as well. Of
 the Maze's 16x16 RGB frames, in episodes of 200 steps, a transition takes 802 bytes; as two stacks
@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from jaxdyna.replay import draw
+from jaxdyna.replay.ring import draw
 from jaxdyna.types import Key, Transition
 
 
@@ -191,7 +191,7 @@ def sample(
         key: random key.
         shape: how many, as leading axes.
         weight: ``[capacity]``, what each position's probability is in proportion to, as
-            `jaxdyna.replay.share_weight` makes it of `FrameReplay.held`; uniform without.
+            `jaxdyna.replay.ring.share_weight` makes it of `FrameReplay.held`; uniform without.
 
     Returns:
         A `Transition` ``[*shape, ...]``, each as it was added.

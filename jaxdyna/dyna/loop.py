@@ -14,30 +14,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna import replay
-from jaxdyna.conditional import where_needed
-from jaxdyna.parts import Dream, Dyna, DynaState, Expert, Metrics, survived
+from jaxdyna.dyna.conditional import where_needed
+from jaxdyna.dyna.config import DynaConfig, DynaHParams
+from jaxdyna.dyna.parts import Dyna, DynaState, Metrics
+from jaxdyna.replay import ring
 from jaxdyna.rollout import rollout
-from jaxdyna.settings import DynaConfig, DynaHParams
 from jaxdyna.types import Key, Transition
-
-__all__ = [
-    "Dream",
-    "Dyna",
-    "DynaConfig",
-    "DynaHParams",
-    "DynaState",
-    "Expert",
-    "Metrics",
-    "make_advance",
-    "make_init",
-    "make_step",
-    "make_train",
-    "play_dreams",
-    "play_real",
-    "survived",
-    "train_model",
-]
 
 
 def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], DynaState]:
@@ -55,7 +37,7 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
         )
         capacity = config.replay_capacity or config.num_episodes * config.num_steps
         held = dyna.memory.init(capacity, config.num_episodes, example, recorded)
-        starts = replay.init(config.num_episodes, example.obs)
+        starts = ring.init(config.num_episodes, example.obs)
         return DynaState(agent, model, held, starts, key)
 
     return init
@@ -211,7 +193,7 @@ def _remembers(dyna: Dyna) -> bool:
 def _remember(dyna, state, real, recorded, episode) -> DynaState:
     """With the new episode."""
     held = dyna.memory.add(state.replay, real, recorded, episode)
-    starts = replay.add(state.starts, real.obs[:, 0], real.mask[:, 0])
+    starts = ring.add(state.starts, real.obs[:, 0], real.mask[:, 0])
     return replace(state, replay=held, starts=starts)
 
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxdyna import frame_replay
-from jaxdyna.frame_replay import FrameReplay
+from jaxdyna.replay import frames as frame_replay
+from jaxdyna.replay.frames import FrameReplay
 from jaxdyna.types import Transition
 
 
@@ -36,7 +36,7 @@ def take_window(
 
     Args:
         replay: the buffer.
-        number: as that of `jaxdyna.frame_replay.take`, int ``[...]``.
+        number: as that of `jaxdyna.replay.frames.take`, int ``[...]``.
         length: n.
         discount: scalar in [0, 1].
     """

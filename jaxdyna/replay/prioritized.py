@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from jaxdyna import frame_replay
-from jaxdyna.frame_replay import FrameReplay
-from jaxdyna.replay import draw
+from jaxdyna.replay import frames as frame_replay
+from jaxdyna.replay.frames import FrameReplay
+from jaxdyna.replay.ring import draw
 from jaxdyna.types import Key, Transition
 
 SMALLEST_ERROR = 1e-3

@@ -1,0 +1,226 @@
+"""Environments around environments: frames stacked or in grey, episodes that begin elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from jaxdyna.envs.gymnasium import spaces
+from jaxdyna.fields import SettingError, check, setting
+from jaxdyna.types import Environment, Key
+
+
+@dataclass(frozen=True)
+class Wrapper:
+    """The environment's own, where a wrapper says nothing else."""
+
+    env: Environment = setting(help="What is wrapped.")
+
+    @property
+    def default_params(self) -> Any:
+        """The environment's."""
+        return self.env.default_params
+
+    @property
+    def num_actions(self) -> int:
+        """The environment's."""
+        return self.env.num_actions
+
+    def action_space(self, params: Any) -> Any:
+        """The environment's."""
+        return self.env.action_space(params)
+
+
+@struct.dataclass
+class StackState:
+    """The environment's own state and the frames seen last, ``[H, W, C * frames]``."""
+
+    env: Any
+    obs: jax.Array
+
+
+@dataclass(frozen=True)
+class FrameStack(Wrapper):
+    """An environment whose observation is its last frames, stacked on the channels, the newest
+    last; an episode begins with its first frame repeated.
+    """
+
+    env: Environment = setting(help="Observes frames [H, W, C].")
+    num_frames: int = setting(4, "Frames in an observation.", at_least=1)
+
+    def __post_init__(self) -> None:
+        check(self)
+        shape = self.env.observation_space(self.env.default_params).shape
+        if len(shape) != 3:
+            raise ValueError(
+                f"{type(self.env).__name__} observes arrays of shape {shape}: stack the frames of "
+                "an environment that observes pictures [height, width, channels]"
+            )
+
+    def reset(self, key: Key, params: Any) -> tuple[jax.Array, StackState]:
+        """Starts an episode."""
+        frame, state = self.env.reset(key, params)
+        obs = jnp.tile(frame, (1, 1, self.num_frames))
+        return obs, StackState(state, obs)
+
+    def step(
+        self, key: Key, state: StackState, action: jax.Array, params: Any
+    ) -> tuple[jax.Array, StackState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+        """One step of the environment; the oldest frame makes room for the new one."""
+        frame, inner, reward, terminated, truncated, info = self.env.step(
+            key, state.env, action, params
+        )
+        obs = jnp.concatenate([state.obs[..., frame.shape[-1] :], frame], axis=-1)
+        return obs, StackState(inner, obs), reward, terminated, truncated, info
+
+    def render(self, state: StackState, params: Any) -> jax.Array:
+        """The environment's."""
+        return self.env.render(state.env, params)  # type: ignore[attr-defined]
+
+    def observation_space(self, params: Any) -> spaces.Box:
+        """Bytes."""
+        height, width, channels = self.env.observation_space(params).shape
+        return spaces.Box(0, 255, (height, width, channels * self.num_frames), np.uint8)
+
+
+@struct.dataclass
+class ReplayedParams:
+    """The environment's own, what start states are drawn from, and the longest episode."""
+
+    env: Any
+    start: Any
+    max_steps: int | jax.Array = 200
+
+
+def at_time_0(state: Any) -> Any:
+    """The same, no step of the episode taken: its field ``time`` is 0."""
+    return replace(state, time=jnp.zeros_like(state.time))
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """An environment of stacked frames whose episodes begin in the midst of real ones instead of at
+    the start: the world of an oracle's dreams, which begin where those in a learned model do.
+
+    Attributes:
+        real: the environment.
+        draw: ``(key, params.start) -> (stack, state)``: what was seen in a real episode, and the
+            state below the stack that was seen so.
+        begin: from such a state to one in which an episode begins.
+    """
+
+    real: FrameStack
+    draw: Callable[[Key, Any], tuple[jax.Array, Any]]
+    begin: Callable[[Any], Any] = at_time_0
+
+    @property
+    def default_params(self) -> ReplayedParams:
+        """Without frames; fill in ``start``."""
+        return ReplayedParams(self.real.default_params, start=None)
+
+    @property
+    def num_actions(self) -> int:
+        """The environment's."""
+        return self.real.num_actions
+
+    def reset(self, key: Key, params: ReplayedParams) -> tuple[jax.Array, StackState]:
+        """Draws where it begins."""
+        obs, state = self.draw(key, params.start)
+        return obs, StackState(self.begin(state), obs)
+
+    def step(
+        self, key: Key, state: StackState, action: jax.Array, params: ReplayedParams
+    ) -> tuple[jax.Array, StackState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+        """The environment's."""
+        return self.real.step(key, state, action, params.env)
+
+    def observation_space(self, params: ReplayedParams) -> Any:
+        """The environment's."""
+        return self.real.observation_space(params.env)
+
+    def action_space(self, params: ReplayedParams) -> Any:
+        """The environment's."""
+        return self.real.action_space(params.env)
+
+
+LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
+"""Of red, green and blue (ITU-R BT.601)."""
+
+
+@dataclass(frozen=True)
+class GreyFrames(Wrapper):
+    """An environment whose coloured frames are seen as luminance, 84x84 (Mnih et al. 2015): each
+    new pixel is the mean of the area that it covers. Frames are not maximised over two, since no
+    game here flickers.
+    """
+
+    env: Environment = setting(
+        help="Observes frames [H, W, 3], uint8; jaxdyna.envs.Pong and AtariPong with a scale of 1 "
+        "show the whole screen."
+    )
+    size: int = setting(84, "Pixels a side, at most as many as the frames have.", at_least=1)
+
+    def __post_init__(self) -> None:
+        check(self)
+        shape = self.env.observation_space(self.env.default_params).shape
+        if len(shape) != 3 or shape[2] != 3:
+            raise ValueError(
+                f"{type(self.env).__name__} observes arrays of shape {shape}: give an environment "
+                "that observes coloured pictures [height, width, 3]"
+            )
+        if self.size > min(shape[:2]):
+            raise SettingError(
+                "size", f"is {self.size}: frames of {shape[:2]} can only be made smaller"
+            )
+
+    @property
+    def frame_shape(self) -> tuple[int, int, int]:
+        """``(size, size, 1)``."""
+        return self.size, self.size, 1
+
+    def reset(self, key: Key, params: Any) -> tuple[jax.Array, Any]:
+        """Starts an episode."""
+        frame, state = self.env.reset(key, params)
+        return grey(frame, self.size), state
+
+    def step(
+        self, key: Key, state: Any, action: jax.Array, params: Any
+    ) -> tuple[jax.Array, Any, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+        """One step of the environment."""
+        frame, *rest = self.env.step(key, state, action, params)
+        return grey(frame, self.size), *rest  # type: ignore[return-value]
+
+    def render(self, state: Any, params: Any) -> jax.Array:
+        """The environment's."""
+        return self.env.render(state, params)  # type: ignore[attr-defined]
+
+    def observation_space(self, params: Any) -> spaces.Box:
+        """Bytes."""
+        del params
+        return spaces.Box(0, 255, self.frame_shape, np.uint8)
+
+
+def grey(frame: jax.Array, size: int) -> jax.Array:
+    """Luminance of frames, uint8 ``[..., H, W, 3]``, in mean over areas: uint8 ``[..., size, size,
+    1]``.
+    """
+    height, width = frame.shape[-3:-1]
+    rows, columns = (jnp.array(_overlaps(length, size)) for length in (height, width))
+    light = frame.astype(jnp.float32) @ LUMINANCE
+    return jnp.round(rows @ light @ columns.T)[..., None].astype(jnp.uint8)
+
+
+def _overlaps(length: int, size: int) -> np.ndarray:
+    """How much of each of ``size`` equal parts of a line lies in each of its ``length`` cells,
+    ``[size, length]``; rows sum to one.
+    """
+    begins = np.arange(size)[:, None] * length / size
+    cells = np.arange(length)[None]
+    shared = np.minimum(begins + length / size, cells + 1) - np.maximum(begins, cells)
+    return (np.maximum(shared, 0) * size / length).astype(np.float32)

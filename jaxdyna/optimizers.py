@@ -1,0 +1,19 @@
+"""The setting of an optimiser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import optax
+
+from jaxdyna.fields import setting
+
+Optimizer = Callable[[Any], optax.GradientTransformation]
+
+
+def optimizer_setting(default: Optimizer, **more: Optimizer) -> Any:
+    """The setting of an optimiser; ``more`` of them can be chosen by name than optax's."""
+    named = {made.__name__: made for made in (optax.sgd, optax.adam, optax.adamw, optax.rmsprop)}
+    help = "Optimiser: from a learning rate to an optax transformation."
+    return setting(default, help, choices=named | more)
