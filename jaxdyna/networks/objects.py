@@ -62,7 +62,7 @@ def moves(past: Rectangles) -> jax.Array:
 
 def each_alone(past: Rectangles, size: tuple[int, int], told: Resolution) -> jax.Array:
     """Of the things of a stack ``[N, frames, C]``: places over the picture's ``size`` and moves, in
-    numbers; then, cell by cell up to ``told.reach``, how far the newest edges are from the picture's
+    numbers; then, cell by cell up to the reach, how far the newest edges are from the picture's
     borders, and will be if they go on as they did, lengths and moves. ``[N, features]``.
     """
     edge, seen = past.edge.astype(jnp.float32), past.seen

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna import losses, networks, planners
-from jaxdyna.agents import CloningConfig, DQNConfig, DQNState, cloning, dqn, q_values
+from jaxdyna.agents import CloningConfig, DQNConfig, DQNState, cloning, dqn, q_values, real_memory
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, Metrics
 from jaxdyna.envs import FrameStack, Maze, MazeParams
 from jaxdyna.envs.maze import MOVES
@@ -24,7 +24,7 @@ from jaxdyna.experiments.maze.frames import TUNED as FRAMES
 from jaxdyna.experiments.maze.options import MazeOptions
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
-from jaxdyna.experiments.study.frames import Recorded, frame_dyna, remembering, true_dyna
+from jaxdyna.experiments.study.frames import Recorded, frame_dyna, true_dyna
 from jaxdyna.experiments.study.planners import acting, by_values
 from jaxdyna.models import PixelConfig, pixels
 from jaxdyna.rollout import rollout
@@ -49,7 +49,8 @@ def arms(options: MazeOptions, judged: bool = True) -> dict[str, study.Made]:
     maze, agent, model = Maze(options.size, options.obstacles), agent_of(options), model_of(options)
     dreamless = replace(options.dyna, dream_updates=0)
     hooks = study.Hooks(judge if judged else None, piece=10, block=options.block)
-    dyna = parts(maze, agent, model, options.steps if options.judged_on == "common" else None)
+    common = options.steps if options.judged_on == "common" else None
+    dyna = parts(maze, agent, model, common)
     made = study.standard_arms(
         dyna, options.dyna, options.hparams, true_dyna(dyna), hooks,
         busier=parts(maze, study.busy(agent), model).agent,
@@ -60,7 +61,8 @@ def arms(options: MazeOptions, judged: bool = True) -> dict[str, study.Made]:
         return study.dyna_arm(playing, dreamless, options.hparams, hooks)
 
     def shown() -> Any:
-        imitating = remembering(dyna)._replace(agent=imitator(dyna, agent, options.cloning))
+        own = parts(maze, agent, model, common, shared=None)
+        imitating = own._replace(agent=imitator(own, agent, options.cloning))
         return planned(imitating, planners.random_shooting, options.mpc, options.shown_episodes)
 
     return made | {
@@ -91,13 +93,16 @@ def model_of(options: MazeOptions) -> PixelConfig:
 
 
 @cache
-def parts(maze: Maze, agent: DQNConfig, model: PixelConfig, common: int | None = None) -> Dyna:
+def parts(
+    maze: Maze, agent: DQNConfig, model: PixelConfig, common: int | None = None,
+    shared: Any = real_memory,
+) -> Dyna:  # fmt: skip
     """The parts of ``dyna``: one object, and so one program, for the same settings. With a model
-    that is judged on `common_transitions` of so many steps, if any.
+    that is judged on `common_transitions` of so many steps, if any; ``shared``: see `frame_dyna`.
     """
     env, shape = FrameStack(maze), (maze.size, maze.size, 3)
     learner, learned = dqn(shape, len(MOVES), agent), pixels(shape, len(MOVES), model)
-    dyna = frame_dyna(env, learner, learned, partial(behaviour, maze))
+    dyna = frame_dyna(env, learner, learned, partial(behaviour, maze), shared)
     return dyna if common is None else on_common(dyna, common_transitions(env, common))
 
 

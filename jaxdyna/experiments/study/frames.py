@@ -32,7 +32,7 @@ def frame_dyna(
 ) -> Dyna:  # fmt: skip
     """Dyna whose dreams begin at any replayed stack of frames, and whose model sees rewards and
     punishments more often than they come. Both come from the agent's own replay, where ``shared``
-    finds it in the agent's state.
+    finds it in the agent's state; None: from one of the run's own.
     """
     kept = memory.frames(_rewarded, shared=shared)
 
@@ -45,11 +45,6 @@ def frame_dyna(
     learned = LearnedEnvironment(env, model.predict, draw_stack, probability_rule, uncertain)
     dream, errors = Dream(learned, params), frame_errors(model.predict)
     return Dyna(env, agent, model, dream, errors, watch, kept, record=record)
-
-
-def remembering(dyna: Dyna) -> Dyna:
-    """With a replay of the run's own, where an agent's does not serve."""
-    return dyna._replace(memory=dyna.memory and dyna.memory._replace(shared=None))
 
 
 @cache
