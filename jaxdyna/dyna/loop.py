@@ -23,7 +23,15 @@ from jaxdyna.types import Key, Transition
 
 
 def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], DynaState]:
-    """``init(key, hparams) -> state``: a run before its first episode."""
+    """A run before its first episode.
+
+    Args:
+        dyna: the parts.
+        config: its counts.
+
+    Returns:
+        ``init(key, hparams) -> state``.
+    """
 
     def init(key: Key, hparams: DynaHParams) -> DynaState:
         key, key_agent, key_model = jax.random.split(key, 3)
@@ -46,12 +54,18 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
 def make_advance(
     dyna: Dyna, config: DynaConfig, axes: tuple[str, ...] = ()
 ) -> Callable[[DynaState, jax.Array, DynaHParams], tuple[DynaState, Metrics]]:
-    """``advance(state, episodes, hparams) -> (state, metrics)``: plays the real episodes numbered
-    ``episodes`` (int ``[K]``, counted from 0) with their dreams; metrics are ``[K, ...]``.
+    """Some real episodes with their dreams. A run cut into pieces is the same run.
 
-    A run cut into pieces is the same run. Keep ``episodes`` unbatched under ``vmap``: then dreams
-    of the first phase cost nothing. ``axes`` names the axes that runs are vmapped along
-    (`jaxdyna.sweep.AXES`): then work that none of them needs costs nothing either.
+    Args:
+        dyna: the parts.
+        config: its counts.
+        axes: names of the axes that runs are vmapped along (`jaxdyna.sweep.AXES`): then work that
+            none of them needs costs nothing.
+
+    Returns:
+        ``advance(state, episodes, hparams) -> (state, metrics)``: plays those numbered ``episodes``
+        (int ``[K]``, from 0); metrics are ``[K, ...]``. Keep ``episodes`` unbatched under ``vmap``:
+        then dreams of the first phase cost nothing.
     """
     step = make_step(dyna, config, axes)
 
@@ -64,7 +78,11 @@ def make_advance(
 def make_step(
     dyna: Dyna, config: DynaConfig, axes: tuple[str, ...] = ()
 ) -> Callable[[DynaState, jax.Array, DynaHParams], tuple[DynaState, Metrics]]:
-    """``step(state, episode, hparams) -> (state, metrics)``: one real episode of `make_advance`."""
+    """One real episode of `make_advance`, which says what the arguments are.
+
+    Returns:
+        ``step(state, episode, hparams) -> (state, metrics)``; ``episode`` is its number, int.
+    """
 
     def step(state: DynaState, episode: jax.Array, hparams: DynaHParams):
         key, key_real, key_agent, key_model, key_dream = jax.random.split(state.key, 5)
@@ -101,8 +119,10 @@ def make_step(
 def make_train(
     dyna: Dyna, config: DynaConfig, axes: tuple[str, ...] = ()
 ) -> Callable[[Key, DynaHParams], tuple[DynaState, Metrics]]:
-    """``train(key, hparams) -> (state, metrics)``: a whole run as one pure function; metrics have
-    a leading axis of ``config.num_episodes``. For ``axes`` see `make_advance`.
+    """A whole run as one pure function; for the arguments see `make_advance`.
+
+    Returns:
+        ``train(key, hparams) -> (state, metrics)``; metrics are ``[config.num_episodes, ...]``.
     """
     init, advance = make_init(dyna, config), make_advance(dyna, config, axes)
 
