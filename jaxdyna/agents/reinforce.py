@@ -18,6 +18,13 @@ from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.types import Agent, Key, Transition
 
 
+def no_baseline(returns: jax.Array, valid: jax.Array) -> jax.Array:
+    """The returns ``[N, T]`` themselves. Right where a reward comes at the end alone: standardised
+    within its episode, a lost game is as good as a won one. Adam forgets their scale.
+    """
+    return jnp.where(valid, returns, 0)
+
+
 def within_episode(returns: jax.Array, valid: jax.Array) -> jax.Array:
     """Returns standardised within each episode, ``[N, T]``, as the paper's authors do."""
     return jax.vmap(standardise)(returns, valid)
@@ -61,10 +68,10 @@ class ReinforceConfig:
         (8,), "Widths of the policy's hidden layers.", at_least=1, everyday=True
     )
     advantage: Callable[[jax.Array, jax.Array], jax.Array] = setting(
-        within_episode,
+        no_baseline,
         "What is done against the returns' variance, (returns [N, T], valid [N, T]) -> [N, T]: "
-        "standardised within each episode, over the batch, or step by step.",
-        choices=(within_episode, over_batch, per_step),
+        "nothing, or standardised within each episode, over the batch, or step by step.",
+        choices=(no_baseline, within_episode, over_batch, per_step),
     )
     optimizer: Optimizer = optimizer_setting(optax.adam)
 
@@ -95,7 +102,7 @@ def policy_logits(
 def reinforce(
     obs_shape: tuple[int, ...], num_actions: int, config: ReinforceConfig | None = None
 ) -> Agent:
-    """REINFORCE with standardised returns for a baseline.
+    """REINFORCE.
 
     Args:
         obs_shape: of one observation; it is flattened.
