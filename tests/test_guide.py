@@ -1,0 +1,40 @@
+"""The guide's own worlds: what a reader copies makes a command."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from jaxdyna.experiments.engine import main
+
+PAGE = Path(__file__).parents[1] / "docs" / "your-own-problem.md"
+
+
+@pytest.fixture(scope="module")
+def copied():
+    names = {}
+    exec("\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)), names)
+    return names
+
+
+def test_a_world_of_ones_own_has_a_command(copied, tmp_path):
+    argv = ["--arms", "model_free", "--seeds", "2", "--episodes", "21", "--out", str(tmp_path)]
+    assert main(copied["CHAIN"], copied["GRID"], argv=argv, prog="python my_chain.py") == 0
+    arms = json.loads((tmp_path / "results.json").read_text())["arms"]
+    assert len(arms["model_free"]["episodes_to_solve"]["per_seed"]) == 2
+    assert "(returns.png)" in (tmp_path / "report.md").read_text()
+
+
+def test_it_has_the_standard_arms(copied):
+    for name, oracle in (("CHAIN", False), ("GRID", True)):
+        experiment = copied[name]
+        arms = experiment.arms(experiment.presets["tuned"].resolved())
+        assert ("oracle" in arms) == oracle and {"dyna", "placebo", "more_updates"} <= set(arms)
+        assert arms["dyna"]().work == arms["dyna"]().work  # one program for the same settings
+
+
+def test_bad_input_is_one_line(copied, capsys):
+    with pytest.raises(SystemExit):
+        main(copied["CHAIN"], argv=["--dyna.num-steps", "7"], prog="python my_chain.py")
+    assert "decided by --hparams.env.max-steps" in capsys.readouterr().err
