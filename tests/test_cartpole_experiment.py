@@ -230,6 +230,7 @@ def test_resume_with_further_arms_says_so(tmp_path):
     assert results["device"]["peak_memory_gib"] == 999.0  # the most of both
 
 
+@pytest.mark.slow
 def test_double_precision(tmp_path):
     command = [sys.executable, "-m", "jaxdyna.experiments.cartpole", *TINY, "--arms", "dyna"]
     command += ["--out", str(tmp_path)]

@@ -154,7 +154,6 @@ NEW = {
         "--dyna.model-updates", "2", "--agent.updates", "2", "--agent.fake-updates", "2",
         "--arms", "dyna", "--sweep", "hparams.agent.learning_rate=0.001,0.002",
     ],
-    "benchmark": ["benchmark", "--sizes", "2", "--episodes", "4"],
 }  # fmt: skip
 """What the old tree did not have, or measured otherwise."""
 
