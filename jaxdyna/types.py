@@ -45,19 +45,24 @@ class Transition(NamedTuple):
     weight: jax.Array | None = None
 
     @property
-    def weights(self) -> jax.Array:
-        """Float32 ``[...]``, 0 where masked out.
+    def valid(self) -> jax.Array:
+        """The mask.
 
         Raises:
-            TypeError: where the mask is not bool.
+            TypeError: where it is not bool.
         """
         if self.mask.dtype != jnp.bool_:
             raise TypeError(
                 f"a transition's mask is {self.mask.dtype}: it says which steps there are, bool; "
                 "how much each counts is its weight"
             )
+        return self.mask
+
+    @property
+    def weights(self) -> jax.Array:
+        """Float32 ``[...]``, 0 where masked out."""
         weight = jnp.float32(1) if self.weight is None else self.weight
-        return jnp.where(self.mask, weight, 0).astype(jnp.float32)
+        return jnp.where(self.valid, weight, 0).astype(jnp.float32)
 
     def blanked(self) -> Transition:
         """With zeros where masked out, so that nothing there, not even NaN, reaches a gradient."""

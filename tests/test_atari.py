@@ -39,7 +39,7 @@ def test_a_game_that_cannot_be_read_refuses_what_reads_it(capsys):
     with pytest.raises(SystemExit) as error:
         run("--game", "ale", "--arms", "dyna", "true_ball")
     assert error.value.code == 2
-    assert "--arms true_ball read the pure game's state" in capsys.readouterr().err
+    assert "--arms true_ball dream in the pure game" in capsys.readouterr().err
 
 
 @pytest.fixture

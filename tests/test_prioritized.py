@@ -18,7 +18,7 @@ def episodes(count, steps):
     shape = (count, steps)
     frames = np.zeros((*shape, 3, 3, 8), np.uint8)
     numbers, flags = np.zeros(shape, np.float32), np.zeros(shape, bool)
-    return Transition(frames, np.zeros(shape, np.int32), numbers, frames, flags, flags, numbers + 1)
+    return Transition(frames, np.zeros(shape, np.int32), numbers, frames, flags, flags, ~flags)
 
 
 def empty(capacity=20):

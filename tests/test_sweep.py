@@ -16,7 +16,7 @@ from jaxdyna.sweep import make_pieces
 SWEPT = {
     "fake_weight": jnp.array([0.0, 1.0, 1.0]),
     "num_real_first": jnp.array([2, 2, 4]),
-    "dream": DreamHParams(jnp.array([0.5, 0.2, 0.5]), jnp.full(3, jnp.inf)),
+    "dream": DreamHParams(jnp.array([0.5, 0.2, 0.5]), jnp.array([jnp.inf] * 3)),
     "agent": ReinforceHParams(
         learning_rate=jnp.array([0.01, 0.02, 0.01]), discount=jnp.array([0.99, 0.9, 0.99])
     ),

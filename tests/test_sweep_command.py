@@ -41,7 +41,7 @@ def rule(options):
 
 def arms(options):
     hooks = Hooks(piece=2, block=options.block)
-    return standard_arms(DYNA, options.dyna, options.hparams, None, hooks, replays=False)
+    return standard_arms(DYNA, options.dyna, options.hparams, None, hooks)
 
 
 POLE = Experiment(

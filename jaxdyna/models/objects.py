@@ -34,6 +34,7 @@ class RectangleConfig:
     """What decides the program."""
 
     told: Resolution = setting(
+        Resolution(),
         help="How finely places and moves are told, and the most that a thing moves in a step.",
         at_least=1,
     )

@@ -25,14 +25,14 @@ class Resolution(NamedTuple):
     """How finely places and moves are told, in cells.
 
     Attributes:
-        reach: the most rows and columns that a thing moves in a step.
+        reach: the most rows and columns that a thing moves in a step; further it never goes.
         longest: of a thing's length, that are told apart.
         beside: by which things that touch are told to lie beside each other.
         fast: a step, that the moves of things that touch are told by.
         unit: that are 1 where moves are told as numbers.
     """
 
-    reach: tuple[int, int]
+    reach: tuple[int, int] = (4, 4)
     longest: int = 5
     beside: int = 8
     fast: int = 4

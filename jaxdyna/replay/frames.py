@@ -155,7 +155,7 @@ def add(replay: FrameReplay, episodes: Transition, beside: Any = ()) -> FrameRep
             f"transitions and {replay.last_frame.shape[0]} episodes"
         )
     channels = replay.frame.shape[-1]
-    lengths = (episodes.mask * jnp.arange(1, steps + 1)).max(1)
+    lengths = (episodes.valid * jnp.arange(1, steps + 1)).max(1)
     mask = (jnp.arange(steps) < lengths[:, None]).reshape(-1)
     number = replay.added + jnp.cumsum(mask) - 1
     slot = jnp.where(mask, number % replay.capacity, replay.capacity)  # out of bounds: dropped
