@@ -16,6 +16,7 @@ FLOORS = {
     "dyna": 5,
     "sweep": 6,
     "statistics": 6,
+    "testing": 5,
     "experiments": 7,
 }
 EXPERIMENTS = PACKAGE / "experiments"
