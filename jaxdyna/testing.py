@@ -4,7 +4,7 @@ small inputs, and raises a `ContractError` that says what is wrong first, and ho
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -14,8 +14,8 @@ import numpy as np
 from jaxdyna.planners import Guide, Planner
 from jaxdyna.types import Agent, DynamicsModel, Environment, Transition
 
-ROWS = 4
-"""Calls that are compared with one another."""
+ROWS, STEPS = 4, 50
+"""Calls that are compared with one another, and steps of an episode at the most."""
 BRANCHES = "branches in Python on a traced value: choose by jnp.where or jax.lax.cond"
 ERRORS = {
     jax.errors.KeyReuseError: "uses a random key twice: split it by jax.random.split",
@@ -31,16 +31,13 @@ class ContractError(AssertionError):
     """A part does not do what `jaxdyna.types` says."""
 
 
-def check_environment(
-    env: Environment, params: Any = None, *, random: bool | None = None, num_steps: int = 50
-) -> None:
+def check_environment(env: Environment, params: Any = None, random: bool | None = None) -> None:
     """Plays a few episodes of random actions.
 
     Args:
         env: the environment.
         params: its parameters, by default ``env.default_params``.
-        random: True demands that the key matters; None does not.
-        num_steps: the most steps of an episode.
+        random: True demands that the key matters; None does not, as nothing need be random.
     """
     name = type(env).__name__
     try:
@@ -55,7 +52,7 @@ def check_environment(
     reset = _Pure(f"{name}.reset", env.reset, (0, None))
     step = _Pure(f"{name}.step", env.step, (0, 0, 0, None))
     starts = reset.check([(key, params) for key in _keys(0)], "obs, state")
-    actions = np.random.default_rng(0).integers(0, count, (num_steps, ROWS), np.int32)
+    actions = np.random.default_rng(0).integers(0, count, (STEPS, ROWS), np.int32)
     columns = zip(_keys(1), starts, actions[0], strict=True)
     calls = [(key, start[1], action, params) for key, start, action in columns]
     steps = step.check(calls, "obs, state, reward, terminated, truncated, info")
@@ -78,25 +75,22 @@ def check_environment(
         _demand(differ, f"the seed changes nothing in {name}: draw from the key of reset or step")
 
 
-def check_agent(
-    agent: Agent, hparams: Any, transitions: Transition, num_actions: int | None = None
-) -> None:
+def check_agent(agent: Agent, hparams: Any, transitions: Transition, num_actions: int) -> None:
     """Acts on a few observations, and learns from a few episodes.
 
     Args:
         agent: the agent.
         hparams: its hyper-parameters.
         transitions: a few whole episodes ``[N, T]``, with T of at least 2.
-        num_actions: of the world, by default as many as the transitions show.
+        num_actions: of the world.
     """
     state = _Pure("init", agent.init)(_keys(0)[0], hparams)
-    most = (num_actions or int(transitions.action.max()) + 1) - 1
+    obs = np.asarray(transitions.obs)[0]
     for name in ("act", "act_fake"):
         if act := getattr(agent, name):
-            rows = zip(np.asarray(transitions.obs)[0], _keys(1), strict=False)
-            calls = [(state, *row, hparams) for row in rows]
+            calls = [(state, *row, hparams) for row in zip(obs, _keys(1), strict=False)]
             actions = _Pure(name, act, (None, 0, 0, None)).check(calls)
-            _scalars(f"{name}'s action", actions, np.integer, 0, most)
+            _scalars(f"{name}'s action", actions, np.integer, 0, num_actions - 1)
     for name in ("update", "update_fake", "update_expert"):
         if update := getattr(agent, name):
             _check_update(name, update, state, hparams, transitions, PADDING)
@@ -124,21 +118,17 @@ def check_model(model: DynamicsModel, hparams: Any, transitions: Transition) -> 
     _check_update("update", model.update, state, hparams, transitions, AXES)
 
 
-def check_planner(
-    planner: Planner, env: Environment, params: Any = None, *, prior: bool | None = None
-) -> None:
+def check_planner(planner: Planner, env: Environment, params: Any, prior: bool = False) -> None:
     """Decides in a few first states.
 
     Args:
         planner: the planner.
         env: the environment that it plans in, at best a tiny one.
-        params: its parameters, by default ``env.default_params``.
-        prior: True demands that ``guide.prior`` counts; None does not.
+        params: its parameters.
+        prior: whether ``guide.prior`` has to count, as where it starts from a policy.
     """
-    params = env.default_params if params is None else params
     name, reset, zeros = "the planner", jax.jit(env.reset), np.zeros(env.num_actions, np.float32)
-    keys = zip(_keys(0), _keys(1), strict=True)
-    starts = [(*reset(first, params), second) for first, second in keys]
+    starts = [(*reset(key, params), key) for key in _keys(0)]
 
     def plan(params: Any, obs: Any, state: Any, key: Any, odds: Any, value: Any) -> Any:
         guide = Guide(lambda obs: odds, lambda obs, state, key: value)
@@ -206,8 +196,8 @@ class _Pure:
 
 
 def _play(reset: _Pure, step: _Pure, space: Any, params: Any, actions: Any) -> tuple[int, list]:
-    """Judges episodes under actions ``[T, N]``, each up to its end. Returns after how many steps
-    the first one terminated (0: none) and what there was to see, ``[N, ...]`` each.
+    """Judges episodes under actions ``[T, N]``, each up to its end: after how many steps the first
+    one terminated (0: none), and what there was to see, ``[N, ...]`` each.
     """
     obs, state = reset.run(reset.batched, _stack(_keys(3)), params)
     alive, ended, seen = np.ones(ROWS, bool), 0, []
@@ -251,34 +241,31 @@ def _check_update(
     _demand(finite, f"{name}'s state is NaN: keep gradients finite, as that of sqrt at 0 is not")
 
     def spoilt(leaf: np.ndarray) -> np.ndarray:
-        worst = {"f": np.nan, "b": True, "u": 255, "i": 2**30}[leaf.dtype.kind]
+        worst = {"f": np.nan, "b": True, "u": 255, "i": leaf.max()}[leaf.dtype.kind]
         exists = early.reshape(early.shape + (1,) * (leaf.ndim - early.ndim))
         return np.where(exists, leaf, np.full_like(leaf, worst))
 
     def reshaped(leaf: np.ndarray) -> np.ndarray:
         return leaf[:, :half] if form == PADDING else leaf.reshape(-1, *leaf.shape[2:])
 
-    def learned(**changes: Any) -> Any:
-        return learning(new, full._replace(**changes), key, hparams)[0]
+    def learned(transitions: Transition) -> Any:
+        return learning(new, transitions, key, hparams)
 
-    some, nothing = learned(mask=early), learned(mask=early & False)
-    poisoned = learned(**jax.tree.map(spoilt, full)._replace(mask=early)._asdict())
-    remedy = "take transitions.blanked(), as NaN * 0 is NaN"
-    _same(poisoned, some, f"{name} learns from masked steps: {remedy}")
-    remedy = "choose the old one by jnp.where"
-    _same(nothing, new, f"{name} changes the state though every step is masked: {remedy}")
-    remedy = "multiply losses by transitions.weights, and keep the state where all are 0"
-    idle = learned(weight=0 * ones)
-    _same(
-        _params(idle),
-        _params(new),
-        f"{name} ignores the weight, it learns where that is 0: {remedy}",
-    )
+    def params(state: Any) -> Any:  # what is in fields called so; without any, all of it
+        return [leaf for path, leaf in _leaves(state) if ".params" in path] or state
 
-    other, twice = jax.tree.map(reshaped, full._replace(mask=early)), _stack([new, new])
-    both = learning.run(learning.batched, twice, other, _stack([key, key]), hparams)[0]
+    cut, none = full._replace(mask=early), full._replace(mask=early & False)
+    some, idle = learned(cut), learned(full._replace(weight=0 * ones))[0]
+    wrong = f"{name} learns from masked steps: take transitions.blanked(), as NaN * 0 is NaN"
+    _same(learned(jax.tree.map(spoilt, full)._replace(mask=early)), some, wrong)
+    wrong = f"{name} changes the state though every step is masked: choose the old by jnp.where"
+    _same(learned(none)[0], new, wrong)
+    wrong = f"{name} ignores the weight, it learns where that is 0: use transitions.weights"
+    _same(params(idle), params(new), f"{wrong}, and keep the state where all are 0")
+    other, keys = jax.tree.map(reshaped, cut), _stack([key, key])
+    both = learning.run(learning.batched, _stack([new, new]), other, keys, hparams)
     if _differs(both, _stack([some, some]), 1e-3):
-        _same(_Pure(name, update)(new, other, key, hparams)[0], some, f"{name} {form}", 1e-3)
+        _same(_Pure(name, update)(new, other, key, hparams), some, f"{name} {form}", 1e-3)
         raise ContractError(f"{name} differs under vmap: compute along a run's own axes")
 
 
@@ -312,8 +299,7 @@ def _differs(one: Any, other: Any, tolerance: float) -> str:
     if jax.tree.structure(one) != jax.tree.structure(other):
         return "in structure"
     for (path, left), (_, right) in zip(_leaves(one), _leaves(other), strict=True):
-        numbers = (left.astype(np.float64), right.astype(np.float64))
-        if left.shape != right.shape or not np.allclose(*numbers, tolerance, tolerance, True):
+        if left.shape != right.shape or not np.allclose(left, right, tolerance, tolerance, True):
             return f"at {path or 'the result'}"
     return ""
 
@@ -341,8 +327,3 @@ def _scalars(name: str, values: Any, kind: Any, low: float = -np.inf, high: floa
         _demand(right, f"{wrong}: return a scalar, {kind.__name__}, by reshape or astype")
         inside = np.isfinite(value) and low <= value <= high
         _demand(inside, f"{name} is {value}: keep it finite and within [{low}, {high}]")
-
-
-def _params(state: Any) -> Any:
-    """What has been learned: what is in fields called params; without any, all of it."""
-    return [leaf for path, leaf in _leaves(state) if ".params" in path] or state

@@ -202,7 +202,7 @@ def test_planner(name):
     if searches:
         pytest.importorskip("mctx")
     env = Catch(rows=5, columns=3)
-    check_planner(PLANNERS[name](env), env, prior=searches)
+    check_planner(PLANNERS[name](env), env, env.default_params, prior=searches)
 
 
 @jax.jit

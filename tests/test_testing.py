@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import count
 from typing import NamedTuple
 
 import jax
@@ -230,8 +231,11 @@ def imitate(params, batch):
     return -batch.reward * chosen
 
 
-def host_draws(state, obs, key, hparams):
-    return jnp.int32(np.random.default_rng().integers(1000) % 2)
+COUNTER = count()
+
+
+def alternating(state, obs, key, hparams):
+    return jnp.int32(next(COUNTER) % 2)
 
 
 def twice(state, obs, key, hparams):
@@ -285,7 +289,7 @@ AGENTS = {
     "action of shape (1,)": ({"act": lambda *args: act(*args)[None]}, "shape (1,)", "scalar"),
     "action that there is not": (
         {"act": lambda *args: act(*args) + 1}, "action is 2", "within [0, 1]"),
-    "host's random numbers": ({"act": host_draws}, "differs under jit", "from its key"),
+    "host's counter": ({"act": alternating}, "differs under jit", "in its arguments"),
     "key used twice to act": ({"act": twice}, "random key twice", "jax.random.split"),
     "branch on values": ({"act": greedy_by_python}, "act branches", "jnp.where"),
     "dreams' action": (
@@ -299,13 +303,13 @@ AGENTS = {
 
 
 def test_a_right_agent_passes():
-    check_agent(AGENT, 0.1, walked())
+    check_agent(AGENT, 0.1, walked(), 2)
 
 
 @pytest.mark.parametrize("fault", AGENTS)
 def test_a_wrong_agent_is_told(fault):
     change, named, remedy = AGENTS[fault]
-    is_told(named, remedy, partial(check_agent, AGENT._replace(**change), 0.1, walked()))
+    is_told(named, remedy, partial(check_agent, AGENT._replace(**change), 0.1, walked(), 2))
 
 
 def predict(params, obs, action, key):
@@ -344,7 +348,8 @@ MODELS = {
         predicting(terminated=lambda terminated, obs, _: 3 + obs[0]),
         "a probability, is", "within [0, 1]"),
     "reward of shape (1,)": (
-        predicting(reward=lambda reward, *_: reward[None]), "reward is float32 of shape (1,)", "scalar"),
+        predicting(reward=lambda reward, *_: reward[None]),
+        "reward is float32 of shape (1,)", "scalar"),
     "end that is a flag": (
         predicting(terminated=lambda terminated, *_: terminated > 0.5),
         "is bool", "floating"),
@@ -449,10 +454,10 @@ PLANNERS = {
 
 
 def test_a_right_planner_passes():
-    check_planner(planner, WALK, prior=True)
+    check_planner(planner, WALK, WalkParams(), prior=True)
 
 
 @pytest.mark.parametrize("fault", PLANNERS)
 def test_a_wrong_planner_is_told(fault):
     spoilt, named, remedy = PLANNERS[fault]
-    is_told(named, remedy, partial(check_planner, spoilt, WALK, prior=True))
+    is_told(named, remedy, partial(check_planner, spoilt, WALK, WalkParams(), prior=True))
