@@ -4,20 +4,20 @@ small inputs, and raises a `ContractError` that says what is wrong first, and ho
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.planners import Guide, Planner
+from jaxdyna.trees import difference, is_key, named_leaves, stack
 from jaxdyna.types import Agent, DynamicsModel, Environment, Transition
 
 ROWS, STEPS = 4, 50
 """Calls that are compared with one another, and steps of an episode at the most."""
 BRANCHES = "branches in Python on a traced value: choose by jnp.where or jax.lax.cond"
-ERRORS = {
+ERRORS: dict[type[Exception], str] = {
     jax.errors.KeyReuseError: "uses a random key twice: split it by jax.random.split",
     jax.errors.TracerBoolConversionError: BRANCHES,
     jax.errors.JAXTypeError: "makes a Python number of a traced value: compute by jax.numpy",
@@ -109,7 +109,7 @@ def check_model(model: DynamicsModel, hparams: Any, transitions: Transition) -> 
     obs, action = np.asarray(transitions.obs)[0], np.asarray(transitions.action)[0]
     calls = [(state.params, *row) for row in zip(obs, action, _keys(1), strict=False)]
     predict = _Pure("predict", model.predict, (None, 0, 0, 0))
-    said = predict.check(calls, "next_obs, reward, terminated, uncertainty")
+    said = predict.check(calls, "next_obs, reward, terminated, uncertainty", small=False)
     next_obs, reward, terminated, uncertainty = zip(*said, strict=True)
     _alike("predict's next_obs", next_obs[0], obs[0], "the observation before it")
     _scalars("predict's reward", reward, np.floating)
@@ -138,7 +138,7 @@ def check_planner(planner: Planner, env: Environment, params: Any, prior: bool =
         return [(params, *start, odds, np.float32(value)) for start in starts]
 
     deciding = _Pure(name, plan, (None, 0, 0, 0, None, None))
-    said = deciding.check(guided(zeros, 0), "action, value", lambda *args: planner(*args[:4]))
+    said = deciding.check(guided(zeros, 0), "action, value", small=False)
     action, value = zip(*said, strict=True)
     _scalars(f"{name}'s action", action, np.integer, 0, len(zeros) - 1)
     _scalars(f"{name}'s value", value, np.floating)
@@ -173,25 +173,27 @@ class _Pure:
 
     def __call__(self, *args: Any) -> Any:
         """A result, compiled once for all arguments of these shapes; their keys stay unused."""
-        fresh = jax.tree.map(lambda leaf: jax.random.clone(leaf) if _is_key(leaf) else leaf, args)
+        fresh = jax.tree.map(lambda leaf: jax.random.clone(leaf) if is_key(leaf) else leaf, args)
         result = self.run(self.jitted, *fresh)
         anew = f"{self.name} is compiled anew (retracing) for another state of the same shape"
         _demand(self.traces == 1, f"{anew}: begin with types, jnp.float32(0) instead of 0.0")
         return result
 
-    def check(self, calls: list[tuple], returns: str = "", eager: Any = None) -> list[Any]:
-        """The results of the calls: the same as a batch and, the first, eager."""
+    def check(self, calls: list[tuple], returns: str = "", small: bool = True) -> list[Any]:
+        """The results of the calls: the same as a batch and, the first, eager if that takes few
+        operations, else traced anew.
+        """
         results, count = [self(*call) for call in calls], len(returns.split(", "))
         whole = not returns or (isinstance(results[0], tuple) and len(results[0]) == count)
         _demand(whole, f"{self.name} does not return {count} values: return {returns}")
-        alone = self.run(eager or self.function, *calls[0])
+        anew = self.function if small else jax.jit(self.function)
+        alone, said = self.run(anew, *calls[0]), f"{self.name} differs under"
         remedy = "draw what is random from its key, and keep the rest in its arguments"
-        _same(alone, results[0], f"{self.name} differs under jit: {remedy}", 1e-3)
+        _same(alone, results[0], f"{said} jit: {remedy}", 1e-3)
         columns = zip(self.axes, zip(*calls, strict=True), strict=True)
-        batch = [column[0] if axis is None else _stack(column) for axis, column in columns]
+        batch = [column[0] if axis is None else stack(column) for axis, column in columns]
         remedy = "compute along a call's own axes, and give a callback the vmap_method that fits"
-        batch = self.run(self.batched, *batch)
-        _same(batch, _stack(results), f"{self.name} differs under vmap: {remedy}", 1e-3)
+        _same(self.run(self.batched, *batch), stack(results), f"{said} vmap: {remedy}", 1e-3)
         return results
 
 
@@ -199,12 +201,12 @@ def _play(reset: _Pure, step: _Pure, space: Any, params: Any, actions: Any) -> t
     """Judges episodes under actions ``[T, N]``, each up to its end: after how many steps the first
     one terminated (0: none), and what there was to see, ``[N, ...]`` each.
     """
-    obs, state = reset.run(reset.batched, _stack(_keys(3)), params)
+    obs, state = reset.run(reset.batched, stack(_keys(3)), params)
     alive, ended, seen = np.ones(ROWS, bool), 0, []
     reward = terminated = truncated = np.zeros(ROWS, bool)
     for time in range(len(actions) + 1):
         if time:
-            inputs = (_stack(_keys(3 + time)), state, actions[time - 1], params)
+            inputs = (stack(_keys(3 + time)), state, actions[time - 1], params)
             obs, state, *rest, _ = step.run(step.batched, *inputs)
             reward, terminated, truncated = map(np.asarray, rest)
         rows, at = np.asarray(obs)[alive], f"at step {time}"
@@ -237,7 +239,7 @@ def _check_update(
     new, metrics = answer
     _alike(f"{name}'s state", new, state, "the state before it")
     _scalars(f"{name}'s loss", [metrics["loss"]], np.floating)
-    finite = all(np.isfinite(leaf).all() for _, leaf in _leaves(new))
+    finite = all(np.isfinite(leaf).all() for leaf in named_leaves(new).values())
     _demand(finite, f"{name}'s state is NaN: keep gradients finite, as that of sqrt at 0 is not")
 
     def spoilt(leaf: np.ndarray) -> np.ndarray:
@@ -251,9 +253,6 @@ def _check_update(
     def learned(transitions: Transition) -> Any:
         return learning(new, transitions, key, hparams)
 
-    def params(state: Any) -> Any:  # what is in fields called so; without any, all of it
-        return [leaf for path, leaf in _leaves(state) if ".params" in path] or state
-
     cut, none = full._replace(mask=early), full._replace(mask=early & False)
     some, idle = learned(cut), learned(full._replace(weight=0 * ones))[0]
     wrong = f"{name} learns from masked steps: take transitions.blanked(), as NaN * 0 is NaN"
@@ -261,12 +260,25 @@ def _check_update(
     wrong = f"{name} changes the state though every step is masked: choose the old by jnp.where"
     _same(learned(none)[0], new, wrong)
     wrong = f"{name} ignores the weight, it learns where that is 0: use transitions.weights"
-    _same(params(idle), params(new), f"{wrong}, and keep the state where all are 0")
-    other, keys = jax.tree.map(reshaped, cut), _stack([key, key])
-    both = learning.run(learning.batched, _stack([new, new]), other, keys, hparams)
-    if _differs(both, _stack([some, some]), 1e-3):
-        _same(_Pure(name, update)(new, other, key, hparams), some, f"{name} {form}", 1e-3)
+    _same(_learned(idle), _learned(new), f"{wrong}, and keep the state where all are 0")
+    other, keys = jax.tree.map(reshaped, cut), stack([key, key])
+    both = learning.run(learning.batched, stack([new, new]), other, keys, hparams)
+    if _far(both, stack([some, some])):
+        alone = _Pure(name, update)(new, other, key, hparams)
+        _demand(not _far(alone, some), f"{name} {form}")
         raise ContractError(f"{name} differs under vmap: compute along a run's own axes")
+
+
+def _learned(state: Any) -> np.ndarray:
+    """Numbers ``[n]`` in fields called params, without such fields all."""
+    rows = [(path, leaf.ravel()) for path, leaf in named_leaves(state).items()]
+    return np.concatenate([row for path, row in rows if ".params" in path] or [x for _, x in rows])
+
+
+def _far(one: tuple, other: tuple) -> bool:
+    """Whether losses differ, or a tenth of what is learned: Adam makes steps of rounding errors."""
+    near = np.isclose(_learned(one[0]), _learned(other[0]), 1e-3, 1e-3)
+    return near.mean() < 0.9 or bool(difference(one[1]["loss"], other[1]["loss"], 1e-3))
 
 
 def _demand(holds: Any, message: str) -> None:
@@ -278,43 +290,18 @@ def _keys(seed: int) -> list[jax.Array]:
     return [jax.random.key(ROWS * seed + row) for row in range(ROWS)]
 
 
-def _is_key(leaf: Any) -> bool:
-    return jax.dtypes.issubdtype(getattr(leaf, "dtype", None), jax.dtypes.prng_key)
-
-
-def _leaves(tree: Any) -> list[tuple[str, np.ndarray]]:
-    """Paths and arrays, of a key its data."""
-    leaves = jax.tree.leaves_with_path(tree)
-    raw = [jax.random.key_data(leaf) if _is_key(leaf) else leaf for _, leaf in leaves]
-    return [(jax.tree_util.keystr(at[0]), np.asarray(x)) for at, x in zip(leaves, raw, strict=True)]
-
-
-def _stack(trees: Sequence[Any]) -> Any:
-    with jax.debug_key_reuse(False):
-        return jax.tree.map(lambda *x: (jnp if _is_key(x[0]) else np).stack(x), *trees)
-
-
-def _differs(one: Any, other: Any, tolerance: float) -> str:
-    """Where two trees differ first, if they do, by more than a relative and absolute tolerance."""
-    if jax.tree.structure(one) != jax.tree.structure(other):
-        return "in structure"
-    for (path, left), (_, right) in zip(_leaves(one), _leaves(other), strict=True):
-        if left.shape != right.shape or not np.allclose(left, right, tolerance, tolerance, True):
-            return f"at {path or 'the result'}"
-    return ""
-
-
 def _same(one: Any, other: Any, message: str, tolerance: float = 0) -> None:
-    wrong = _differs(one, other, tolerance)
+    wrong = difference(one, other, tolerance)
     _demand(not wrong, f"{message} ({wrong})")
 
 
 def _alike(name: str, value: Any, like: Any, what: str) -> None:
     """Demands the same structure, shapes and types, as ``jax.lax.scan`` does."""
-    same = jax.tree.structure(value) == jax.tree.structure(like)
+    new, old = named_leaves(value), named_leaves(like)
+    same = new.keys() == old.keys()
     _demand(same, f"{name} has another structure than {what}: return the same pytree")
-    for (path, new), (_, old) in zip(_leaves(value), _leaves(like), strict=True):
-        is_now, was = (f"{leaf.dtype}{list(leaf.shape)}" for leaf in (new, old))
+    for path, leaf in new.items():
+        is_now, was = (f"{x.dtype}{list(x.shape)}" for x in (leaf, old[path]))
         wrong = f"{name}{path} is {is_now}, unlike {what}, {was}"
         _demand(is_now == was, f"{wrong}: keep shape and dtype, by reshape and astype")
 

@@ -8,7 +8,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "jaxdyna"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = {
-    **dict.fromkeys(["fields", "types", "conditional", "convolution"], 0),
+    **dict.fromkeys(["fields", "types", "trees", "conditional", "convolution"], 0),
     **dict.fromkeys(["settings", "networks", "losses", "envs", "replay"], 1),
     **dict.fromkeys(["rollout", "frame_replay"], 2),
     **dict.fromkeys(["memory", "windows"], 3),

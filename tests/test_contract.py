@@ -66,6 +66,7 @@ from jaxdyna.planners import (
 )
 from jaxdyna.statistics import r_squared
 from jaxdyna.testing import check_agent, check_environment, check_model, check_planner
+from jaxdyna.types import Agent
 
 SIZE = 8
 FRAME = (SIZE, SIZE, 3)
@@ -76,7 +77,8 @@ GAME = PongParams(points_to_win=1, max_steps=40, first_serve_delay=1, serve_dela
 
 def drawn(key, start):
     """One of the starts."""
-    return jax.tree.map(lambda leaf: leaf[jax.random.randint(key, (), 0, 4)], start)
+    row = jax.random.randint(key, (), 0, 4)
+    return jax.tree.map(lambda leaf: leaf[row], start)
 
 
 def replayed():
@@ -148,14 +150,20 @@ def imitating(agent, outputs, frames):
     return cloning(agent, outputs, (obs, jnp.int32(0)), config)
 
 
+def imitation_alone(frames):
+    """The rest is the agent's own, and that this is passed on is seen with REINFORCE."""
+    agent = imitating(*q_learner(frames), frames)
+    return Agent(agent.init, agent.act, agent.update_expert)
+
+
 AGENTS = {
     **{rule: lambda rule=rule: (RULES[rule], False) for rule in RULES},
     "dqn_vectors": lambda: (q_learner(False)[0], False),
-    "dqn_frames": lambda: (q_learner(True)[0], True),
+    "dqn_frames": lambda: (q_learner(True)[0]._replace(act_fake=None, update_fake=None), True),
     "cloned_reinforce": lambda: (
         imitating(RULES["per_step"], policy_logits(2, ReinforceConfig()), False), False),
-    "cloned_dqn_vectors": lambda: (imitating(*q_learner(False), False), False),
-    "cloned_dqn_frames": lambda: (imitating(*q_learner(True), True), True),
+    "cloned_dqn_vectors": lambda: (imitation_alone(False), False),
+    "cloned_dqn_frames": lambda: (imitation_alone(True), True),
 }  # fmt: skip
 
 
@@ -174,7 +182,7 @@ FRAME_MODELS = {
     "adversarial": pixels(
         FRAME, 5, PixelConfig(LocalDynamics(3, (4,)), shades=True), adversary=discriminator(FRAME)
     ),
-    "rectangles": rectangles(FRAME, 5, RectangleConfig((1, 1), hidden=(8,), draws=True)),
+    "rectangles": rectangles(FRAME, 5, RectangleConfig((1, 1), ((0, 1, 2),), (8,), draws=True)),
     "translated": translated(LOCAL, lambda stack: 255 - stack, lambda frame: 255 - frame),
 }
 

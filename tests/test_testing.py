@@ -371,7 +371,9 @@ MODELS = {
             (weight * loss).sum(-1) / jnp.maximum(weight.sum(-1), 1e-6)).sum())},
         "leading axes", "flatten"),
 } | {
-    name: ({"update": learner(squares, **how)}, *said) for name, (how, *said) in FORMS.items()
+    name: ({"update": learner(squares, **how)}, *said)
+    for name, (how, *said) in FORMS.items()
+    if name in ("structure of the state", "masked steps poison", "weight ignored")
 }  # fmt: skip
 
 
