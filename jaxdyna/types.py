@@ -20,8 +20,8 @@ PyTree = Any
 class Transition(NamedTuple):
     """One step of experience, or with leading axes a batch of them (``[N, T]`` from `rollout`).
 
-    ``terminated`` says that the world ended; ``truncated`` that only the recording did. A learner
-    bootstraps from ``next_obs`` unless ``terminated``.
+    ``terminated`` says that the world ended; ``truncated`` that only the recording did, never both.
+    A learner bootstraps from ``next_obs`` unless ``terminated``.
 
     Attributes:
         obs: what was seen before acting, ``[..., *obs]``.

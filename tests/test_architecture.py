@@ -8,11 +8,11 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "jaxdyna"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = {
-    **dict.fromkeys(["fields", "types"], 0),
+    **dict.fromkeys(["fields", "types", "trees"], 0),
     **dict.fromkeys(["optimizers", "networks", "losses", "envs", "replay"], 1),
     "rollout": 2,
     **dict.fromkeys(["agents", "models", "planners"], 3),
-    "dyna": 4,
+    **dict.fromkeys(["dyna", "testing"], 4),
     **dict.fromkeys(["sweep", "statistics"], 5),
     "experiments": 6,
 }

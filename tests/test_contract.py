@@ -1,26 +1,120 @@
-"""What every environment, agent and dynamics model owes the others."""
+"""Every part of the package keeps the contract (`jaxdyna.testing`), and learners learn."""
+
+from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from parts import ENV, assert_close, assert_same, random_act
+from parts import ENV, perfect_predict, random_act
 
 from jaxdyna import rollout
-from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
-from jaxdyna.agents.reinforce import over_batch, per_step, within_episode
-from jaxdyna.envs import CartPole, Catch, GreyFrames, Maze, Pong
+from jaxdyna.agents import (
+    CloningConfig,
+    DQNConfig,
+    DQNHParams,
+    ReinforceConfig,
+    ReinforceHParams,
+    cloning,
+    dqn,
+    policy_logits,
+    q_values,
+    reinforce,
+)
+from jaxdyna.agents.reinforce import no_baseline, over_batch, per_step, within_episode
+from jaxdyna.envs import (
+    CartPole,
+    CartPoleParams,
+    Catch,
+    CatchParams,
+    FrameStack,
+    GreyFrames,
+    Maze,
+    MazeParams,
+    Pong,
+    PongParams,
+    Replayed,
+    ReplayedParams,
+)
 from jaxdyna.models import (
+    AdversarialHParams,
     LearnedEnvironment,
     LearnedParams,
+    PixelConfig,
+    PixelHParams,
+    RectangleConfig,
     SupervisedConfig,
     SupervisedHParams,
+    discriminator,
+    pixels,
+    rectangles,
     supervised,
     uniform_start,
 )
 from jaxdyna.models.evaluation import one_step, one_step_sums, open_loop
+from jaxdyna.networks import (
+    EncoderDecoder,
+    GlimpseQ,
+    JointReward,
+    LocalDynamics,
+    PerceptronQ,
+    Resolution,
+)
+from jaxdyna.planners import (
+    CrossEntropyConfig,
+    SearchConfig,
+    ShootingConfig,
+    cross_entropy,
+    gumbel_muzero,
+    muzero,
+    random_shooting,
+)
 from jaxdyna.statistics import r_squared
+from jaxdyna.testing import check_agent, check_environment, check_model, check_planner
+from jaxdyna.types import Agent
+
+SIZE = 8
+FRAME = (SIZE, SIZE, 3)
+STACK = FrameStack(Maze(size=SIZE, num_obstacles=1))
+SHORT = MazeParams(max_steps=9)
+GAME = PongParams(points_to_win=1, max_steps=40, first_serve_delay=1, serve_delay=1)
+
+
+def drawn(key, start):
+    """One of the starts."""
+    row = jax.random.randint(key, (), 0, 4)
+    return jax.tree.map(lambda leaf: leaf[row], start)
+
+
+def replayed():
+    keys = jax.random.split(jax.random.key(0), 4)
+    obs, state = jax.jit(jax.vmap(STACK.reset, (0, None)))(keys, SHORT)
+    return Replayed(STACK, drawn), ReplayedParams(SHORT, (obs, state.env), 9)
+
+
+def learned():
+    world = LearnedEnvironment(ENV, perfect_predict, uniform_start(-0.05, 0.05))
+    return world, LearnedParams(CartPoleParams(), jnp.zeros(4))
+
+
+WORLDS = {
+    "cartpole": lambda: (CartPole(), None),
+    "maze": lambda: (Maze(), SHORT),
+    "catch": lambda: (Catch(), CatchParams()),
+    "catch_frames": lambda: (Catch(rows=5, frames=True), None),
+    "pong": lambda: (Pong(scale=8), GAME),
+    "grey": lambda: (GreyFrames(Pong(scale=8), size=9), GAME),
+    "stack": lambda: (STACK, SHORT),
+    "replayed": replayed,
+    "learned": learned,
+}
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_environment(name):
+    check_environment(*WORLDS[name](), random=True)
+
 
 ADAM = {"sum_loss": False, "optimizer": optax.adam, "normalise": True}
 MODELS = {
@@ -29,39 +123,101 @@ MODELS = {
     "delta": supervised(4, 2, SupervisedConfig(**ADAM, delta=True, one_hot=True, hidden=(32,))),
     "ensemble": supervised(4, 2, SupervisedConfig(**ADAM, delta=True, ensemble=3, hidden=(32,))),
 }
-AGENTS = {
+RULES = {
     rule.__name__: reinforce((4,), 2, ReinforceConfig(advantage=rule))
-    for rule in (within_episode, over_batch, per_step)
+    for rule in (no_baseline, within_episode, over_batch, per_step)
 }
 
 
-def learned_world():
-    model = MODELS["delta"]
-    world = LearnedEnvironment(ENV, model.predict, uniform_start(-0.05, 0.05))
-    weights = model.init(jax.random.key(0), SupervisedHParams()).params
-    return world, LearnedParams(weights, start=jnp.zeros(4), max_steps=9)
+@cache
+def small_episodes(frames):
+    """``[3, 9]``, of frames or of vectors."""
+    world, params = (STACK, SHORT) if frames else (ENV, ENV.default_params)
+
+    def act(obs, key):
+        return jax.random.randint(key, (), 0, world.num_actions)
+
+    return jax.jit(lambda key: rollout(world, act, key, params, 3, num_steps=9))(jax.random.key(1))
 
 
-WORLDS = {
-    "cartpole": lambda: (CartPole(), CartPole().default_params),
-    "maze": lambda: (Maze(), Maze().default_params),
-    "catch": lambda: (Catch(), Catch().default_params),
-    "catch_frames": lambda: (Catch(frames=True), Catch().default_params),
-    "pong": lambda: (Pong(), Pong().default_params),
-    "grey": lambda: (GreyFrames(Pong()), Pong().default_params),
-    "learned": learned_world,
+def q_learner(frames):
+    network = GlimpseQ(5, size=3, hidden=(4,)) if frames else PerceptronQ(2, (4,))
+    config = DQNConfig(
+        network, updates=1, fake_updates=1, batch=4, capacity=64, episodes=8, fake_capacity=64,
+        fake_episodes=8,
+    )  # fmt: skip
+    agent = dqn(FRAME, 5, config) if frames else dqn((4,), 2, config)
+    return agent, lambda params, obs: q_values(network, params, obs[None])[0]
+
+
+def imitating(agent, outputs, frames):
+    obs = small_episodes(frames).obs[0, 0]
+    config = CloningConfig(updates=2, batch=4, capacity=64)
+    return cloning(agent, outputs, (obs, jnp.int32(0)), config)
+
+
+def imitation_alone(frames):
+    """The rest is the agent's own, and that this is passed on is seen with REINFORCE."""
+    agent = imitating(*q_learner(frames), frames)
+    return Agent(agent.init, agent.act, agent.update_expert)
+
+
+AGENTS = {
+    **{rule: lambda rule=rule: (RULES[rule], False) for rule in RULES},
+    "dqn_vectors": lambda: (q_learner(False)[0], False),
+    "dqn_frames": lambda: (q_learner(True)[0]._replace(act_fake=None, update_fake=None), True),
+    "cloned_reinforce": lambda: (
+        imitating(RULES["per_step"], policy_logits(2, ReinforceConfig()), False), False),
+    "cloned_dqn_vectors": lambda: (imitation_alone(False), False),
+    "cloned_dqn_frames": lambda: (imitation_alone(True), True),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_agent(name):
+    agent, frames = AGENTS[name]()
+    hparams = DQNHParams() if "dqn" in name else ReinforceHParams()
+    check_agent(agent, hparams, small_episodes(frames), 5 if frames else 2)
+
+
+LOCAL = pixels(FRAME, 5, PixelConfig(LocalDynamics(3, (4,))))
+CODER = EncoderDecoder(3, widths=(4, 4), kernels=(2, 2), dense=8)
+FRAME_MODELS = {
+    "local": LOCAL,
+    "coder": pixels(FRAME, 5, PixelConfig(CODER, reward=JointReward(), terminates=True)),
+    "adversarial": pixels(
+        FRAME, 5, PixelConfig(LocalDynamics(3, (4,)), shades=True), adversary=discriminator(FRAME)
+    ),
+    "rectangles": rectangles(
+        FRAME, 5, RectangleConfig(Resolution((1, 1)), ((0, 1, 2),), (8,), draws=True)
+    ),
 }
 
 
-def poisoned(episodes):
-    """NaN wherever nothing is."""
+@pytest.mark.parametrize("name", MODELS | FRAME_MODELS)
+def test_model(name):
+    if name in MODELS:
+        check_model(MODELS[name], SupervisedHParams(1e-4), small_episodes(False))
+    else:
+        hparams = AdversarialHParams() if name == "adversarial" else PixelHParams()
+        check_model(FRAME_MODELS[name], hparams, small_episodes(True))
 
-    def poison(leaf):
-        mask = episodes.mask.reshape(episodes.mask.shape + (1,) * (leaf.ndim - 2))
-        floats = jnp.issubdtype(leaf.dtype, jnp.floating)
-        return jnp.where(mask, leaf, jnp.nan) if floats else leaf
 
-    return jax.tree.map(poison, episodes)
+PLANNERS = {
+    "random_shooting": lambda env: random_shooting(env, ShootingConfig(2, 4)),
+    "cross_entropy": lambda env: cross_entropy(env, CrossEntropyConfig(2, 4, elites=2)),
+    "muzero": lambda env: muzero(env, SearchConfig(4)),
+    "gumbel_muzero": lambda env: gumbel_muzero(env, SearchConfig(4)),
+}
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_planner(name):
+    searches = "muzero" in name
+    if searches:
+        pytest.importorskip("mctx")
+    env = Catch(rows=5, columns=3)
+    check_planner(PLANNERS[name](env), env, env.default_params, prior=searches)
 
 
 @jax.jit
@@ -74,87 +230,20 @@ def episodes():
     return play(jax.random.key(1))
 
 
-@pytest.mark.parametrize("world", WORLDS)
-def test_environment(world):
-    env, params = WORLDS[world]()
-    assert hash(env) == hash(WORLDS[world]()[0]) or world == "learned"
-    obs, state = env.reset(jax.random.key(0), params)
-    space = env.observation_space(params)
-    assert obs.shape == space.shape and obs.dtype == space.dtype
-    assert env.action_space(params).n == env.num_actions
-    answer = env.step(jax.random.key(1), state, jnp.int32(0), params)
-    jitted = jax.jit(env.step)(jax.random.key(1), state, jnp.int32(0), params)
-    assert_close(jitted, answer)
-    next_obs, next_state, reward, terminated, truncated, info = answer
-    assert next_obs.shape == obs.shape and isinstance(info, dict)
-    assert jax.tree.structure(next_state) == jax.tree.structure(state)
-    assert jax.tree.map(jnp.shape, next_state) == jax.tree.map(jnp.shape, state)
-    assert reward.shape == terminated.shape == truncated.shape == ()
-    assert terminated.dtype == jnp.bool_ and jnp.result_type(truncated) == jnp.bool_
-    assert params.max_steps == env.default_params.replace(max_steps=params.max_steps).max_steps
-
-
-@pytest.mark.parametrize("name", AGENTS)
-def test_agent(name, episodes):
-    agent, hparams = AGENTS[name], ReinforceHParams()
-    state = agent.init(jax.random.key(0), hparams)
-    action = agent.act(state, episodes.obs[0, 0], jax.random.key(1), hparams)
-    assert action.shape == () and action.dtype == jnp.int32
-    new, metrics = agent.update(state, episodes, jax.random.key(2), hparams)
-    assert jax.tree.structure(new) == jax.tree.structure(state)
-    assert np.isfinite(metrics["loss"])
-    assert not np.array_equal(jax.tree.leaves(new.params)[0], jax.tree.leaves(state.params)[0])
-    assert_close(jax.jit(agent.update)(state, episodes, jax.random.key(2), hparams)[0], new)
-
-
-@pytest.mark.parametrize("name", AGENTS)
-def test_agent_weighs_transitions(name, episodes):
-    agent, hparams, key = AGENTS[name], ReinforceHParams(), jax.random.key(3)
+@pytest.mark.parametrize("name", RULES)
+def test_half_the_weight_moves_a_policy_half_as_far(name, episodes):
+    agent, hparams, key = RULES[name], ReinforceHParams(), jax.random.key(3)
     state = agent.init(jax.random.key(0), hparams)
 
     @jax.jit
-    def update(transitions):
-        return agent.update(state, transitions, jax.random.clone(key), hparams)[0]
+    def moved(weight):
+        weighed = episodes._replace(weight=jnp.full(episodes.mask.shape, weight))
+        new, _ = agent.update(state, weighed, jax.random.clone(key), hparams)
+        return jax.tree.map(jnp.subtract, new.params, state.params)
 
-    def weighing(weight):
-        return episodes._replace(weight=jnp.full(episodes.mask.shape, weight))
-
-    assert_same(update(weighing(0.0)), state)
-    assert_same(update(episodes._replace(mask=episodes.mask & False)), state)
-    assert_close(update(weighing(1.0)), update(episodes))
-    assert_same(update(poisoned(episodes)), update(episodes))
-    full, half = (update(weighing(weight)).params for weight in (1.0, 0.5))
-    for new, less, old in zip(*map(jax.tree.leaves, (full, half, state.params)), strict=True):
-        np.testing.assert_allclose(less - old, (new - old) / 2, atol=2e-5)
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_model(name, episodes):
-    model, hparams = MODELS[name], SupervisedHParams(learning_rate=1e-3)
-    state = model.init(jax.random.key(0), hparams)
-    obs, action = episodes.obs[0, 0], episodes.action[0, 0]
-    prediction = model.predict(state.params, obs, action, jax.random.key(1))
-    assert prediction.next_obs.shape == (4,) and 0 <= prediction.terminated <= 1
-    assert prediction.reward.shape == prediction.uncertainty.shape == ()
-    assert (prediction.uncertainty > 0) == (name == "ensemble")
-    key = jax.random.key(2)
-    eager = model.update(state, episodes, key, hparams)
-    assert_close(
-        jax.jit(model.update)(state, episodes, jax.random.clone(key), hparams), eager, 1e-4
-    )
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_model_ignores_what_is_masked(name, episodes):
-    model, hparams, key = MODELS[name], SupervisedHParams(learning_rate=1e-3), jax.random.key(2)
-    state = model.init(jax.random.key(0), hparams)
-
-    @jax.jit
-    def update(transitions):
-        return model.update(state, transitions, jax.random.clone(key), hparams)[0]
-
-    assert_same(update(poisoned(episodes)), update(episodes))
-    assert_same(update(episodes._replace(mask=episodes.mask & False)), state)
+    for full, half in zip(*map(jax.tree.leaves, (moved(1.0), moved(0.5))), strict=True):
+        np.testing.assert_allclose(half, full / 2, atol=2e-5)
+        assert np.abs(full).max() > 1e-3
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -184,8 +273,9 @@ def test_model_learns_the_world(name, episodes):
     explained = r_squared(
         sums["state_error"], sums[f"{target}_sum"], sums[f"{target}_square"], sums["count"]
     )
-    print(name, explained)
     assert explained.min() > {"paper": 0.0, "scaled": 0.9}.get(name, 0.7)
+    said = model.predict(state.params, new.obs[0, 0], new.action[0, 0], jax.random.key(7))
+    assert (said.uncertainty > 0) == (name == "ensemble")
 
 
 def test_open_loop_feeds_predictions_back(episodes):
@@ -204,7 +294,7 @@ def test_open_loop_feeds_predictions_back(episodes):
 
 def test_reinforce_learns_cartpole():
     """A few dozen updates from batches of real episodes more than double the return."""
-    agent, hparams = AGENTS["per_step"], ReinforceHParams(learning_rate=0.02)
+    agent, hparams = RULES["per_step"], ReinforceHParams(learning_rate=0.02)
 
     @jax.jit
     def train(key):

@@ -116,7 +116,8 @@ class AtariPong:
             state.emulator, jnp.asarray(action, jnp.int32), jnp.int32(self.frame_skip)
         )
         new = replace(state, emulator=saved, time=state.time + 1)
-        return self._frame(screen), new, reward, over, new.time >= params.max_steps, {}
+        late = new.time >= params.max_steps
+        return self._frame(screen), new, reward, over, ~over & late, {}
 
     def _frame(self, screen: jax.Array) -> jax.Array:
         if self.scale == 1:

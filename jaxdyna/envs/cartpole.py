@@ -87,7 +87,7 @@ class CartPole:
 
         Returns:
             ``obs [4], state, reward, terminated, truncated, info``; terminated where the cart or
-            the pole is beyond its threshold, truncated at ``max_steps`` (both can be).
+            the pole is beyond its threshold, otherwise truncated at ``max_steps``.
         """
         del key
         force = jnp.where(action == 1, params.force_mag, -params.force_mag)
@@ -109,7 +109,7 @@ class CartPole:
         terminated = (jnp.abs(state.x) > params.x_threshold) | (
             jnp.abs(state.theta) > params.theta_threshold
         )
-        truncated = state.time >= params.max_steps
+        truncated = ~terminated & (state.time >= params.max_steps)
         return _observe(state), state, jnp.float32(1), terminated, truncated, {}
 
     def render(self, state: CartPoleState, params: CartPoleParams) -> jax.Array:

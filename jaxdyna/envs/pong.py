@@ -110,7 +110,8 @@ class Pong:
         new = replace(new, time=state.time + 1)
         lost, gained = new.score - state.score
         reward = (gained - lost).astype(jnp.float32)
-        return self.frame(new), new, reward, won(new), new.time >= params.max_steps, {}
+        over, late = won(new), new.time >= params.max_steps
+        return self.frame(new), new, reward, over, ~over & late, {}
 
     def object_masks(self, state: PongState) -> ObjectMasks:
         """Which pixels of the frame show the ball, the own paddle and the opponent's: bool

@@ -143,6 +143,7 @@ class LearnedEnvironment:
         state = LearnedState(next_obs, state.time + 1)
         terminated = self.terminates(prediction, params, key_end)
         truncated = (state.time >= params.max_steps) | self.truncates(prediction, params)
+        truncated = truncated & ~terminated
         info = {"prediction": prediction}
         return state.obs, state, prediction.reward, terminated, truncated, info
 

@@ -1,0 +1,45 @@
+"""Pytrees of arrays and keys, by the names of their leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+def is_key(leaf: Any) -> bool:
+    """Whether it is a typed random key, or several."""
+    return jax.dtypes.issubdtype(getattr(leaf, "dtype", None), jax.dtypes.prng_key)
+
+
+def named_leaves(tree: Any) -> dict[str, np.ndarray]:
+    """Every leaf under its path, such as ``.params['w']``; of a key its data."""
+
+    def raw(leaf: Any) -> np.ndarray:
+        return np.asarray(jax.random.key_data(leaf) if is_key(leaf) else leaf)
+
+    leaves = jax.tree.leaves_with_path(tree)
+    return {jax.tree_util.keystr(path): raw(leaf) for path, leaf in leaves}
+
+
+def stack(trees: Sequence[Any]) -> Any:
+    """Trees of one structure as one, with a leading axis."""
+    with jax.debug_key_reuse(False):
+        return jax.tree.map(lambda *x: (jnp if is_key(x[0]) else np).stack(x), *trees)
+
+
+def difference(one: Any, other: Any, tolerance: float = 0) -> str:
+    """Says where two trees differ first by more than a relative and absolute tolerance; nothing
+    where they do not. NaN is equal to NaN.
+    """
+    left, right = named_leaves(one), named_leaves(other)
+    if left.keys() != right.keys():
+        return "in structure"
+    for path, leaf in left.items():
+        shapes = leaf.shape == right[path].shape
+        if not shapes or not np.allclose(leaf, right[path], tolerance, tolerance, equal_nan=True):
+            return f"at {path or 'the result'}"
+    return ""
