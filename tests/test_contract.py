@@ -173,7 +173,15 @@ AGENTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", AGENTS)
+SLOW = ("gumbel_muzero", "coder", "adversarial", "cloned_dqn_vectors", "cloned_dqn_frames")
+
+
+def quick_first(names):
+    """Those that compile for ten seconds, and are much like others, are apart."""
+    return [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in names]
+
+
+@pytest.mark.parametrize("name", quick_first(AGENTS))
 def test_agent(name):
     agent, frames = AGENTS[name]()
     hparams = DQNHParams() if "dqn" in name else ReinforceHParams()
@@ -194,7 +202,7 @@ FRAME_MODELS = {
 }
 
 
-@pytest.mark.parametrize("name", MODELS | FRAME_MODELS)
+@pytest.mark.parametrize("name", quick_first(MODELS | FRAME_MODELS))
 def test_model(name):
     if name in MODELS:
         check_model(MODELS[name], SupervisedHParams(1e-4), small_episodes(False))
@@ -211,7 +219,7 @@ PLANNERS = {
 }
 
 
-@pytest.mark.parametrize("name", PLANNERS)
+@pytest.mark.parametrize("name", quick_first(PLANNERS))
 def test_planner(name):
     searches = "muzero" in name
     if searches:
@@ -282,12 +290,13 @@ def test_open_loop_feeds_predictions_back(episodes):
     model = MODELS["delta"]
     params = model.init(jax.random.key(0), SupervisedHParams()).params
     obs, action = episodes.obs[0, 0], episodes.action[0, :5]
-    free = open_loop(model.predict, params, obs, action, jax.random.key(1))
+    predict = jax.jit(model.predict)
+    free = jax.jit(lambda key: open_loop(predict, params, obs, action, key))(jax.random.key(1))
     for time in range(5):
-        expected = model.predict(params, obs, action[time], jax.random.key(2))
+        expected = predict(params, obs, action[time], jax.random.key(2))
         np.testing.assert_allclose(free.next_obs[time], expected.next_obs, rtol=1e-5, atol=1e-6)
         obs = expected.next_obs
-    first = one_step(model.predict, params, episodes, jax.random.key(3))
+    first = jax.jit(lambda key: one_step(predict, params, episodes, key))(jax.random.key(3))
     assert first.next_obs.shape == episodes.obs.shape
     np.testing.assert_allclose(first.next_obs[0, 0], free.next_obs[0], rtol=1e-5, atol=1e-6)
 
