@@ -247,6 +247,7 @@ def test_readings_report(tmp_path):
     assert (tmp_path / "variants.png").exists()
 
 
+@pytest.mark.slow
 def test_accuracy_report(tmp_path):
     rows = ["dyna (tuned preset)", "hidden layers of 4", "2 model updates an episode"]
     results, text = study("accuracy", rows, tmp_path)
@@ -255,6 +256,7 @@ def test_accuracy_report(tmp_path):
     assert 0 < errors["dyna (tuned preset)"] < errors["hidden layers of 4"]
 
 
+@pytest.mark.slow
 def test_data_report(tmp_path):
     command = respelled(["cartpole_data", *tiny.DATA])[1:]
     assert run(*command, "--block", "2", "--out", str(tmp_path)) == 0

@@ -173,7 +173,10 @@ AGENTS = {
 }  # fmt: skip
 
 
-SLOW = ("gumbel_muzero", "coder", "adversarial", "cloned_dqn_vectors", "cloned_dqn_frames")
+SLOW = (
+    "gumbel_muzero", "coder", "adversarial", "rectangles", "dqn_frames", "cloned_dqn_vectors",
+    "cloned_dqn_frames",
+)  # fmt: skip
 
 
 def quick_first(names):

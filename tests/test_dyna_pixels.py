@@ -90,6 +90,7 @@ def test_dreams_branch_off_from_real_frames(run):
     assert all(stack.tobytes() in frames for stack in begun)
 
 
+@pytest.mark.slow
 def test_real_steps_that_are_remembered_twice_change_nothing(run):
     own = parts(None)
     config = replace(CONFIG, replay_capacity=AGENT_CONFIG.capacity)
