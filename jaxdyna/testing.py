@@ -192,20 +192,22 @@ class _Pure:
         return result
 
     def check(self, calls: list[tuple], returns: str = "", small: bool = True) -> list[Any]:
-        """The results of the calls: the same as a batch and, the first, eager if that takes few
-        operations, else traced anew.
+        """The results of the calls: the same as a batch and, of a small function, eager. A batch is
+        traced anew, so that it differs as well where something is not pure.
         """
         results, count = [self(*call) for call in calls], len(returns.split(", "))
         whole = not returns or (isinstance(results[0], tuple) and len(results[0]) == count)
         _demand(whole, f"{self.name} does not return {count} values: return {returns}")
-        anew = self.function if small else jax.jit(self.function)
-        alone, said = self.run(anew, *calls[0]), f"{self.name} differs under"
-        remedy = "draw what is random from its key, and keep the rest in its arguments"
-        _same(alone, results[0], f"{said} jit: {remedy}", 1e-3)
+        wrong = f"{self.name} differs under jit: draw from its key, and keep the rest in arguments"
+        if small:
+            _same(self.run(self.function, *calls[0]), results[0], wrong, 1e-3)
         columns = zip(self.axes, zip(*calls, strict=True), strict=True)
         batch = [column[0] if axis is None else stack(column) for axis, column in columns]
-        remedy = "compute along a call's own axes, and give a callback the vmap_method that fits"
-        _same(self.run(self.batched, *batch), stack(results), f"{said} vmap: {remedy}", 1e-3)
+        together, apart = self.run(self.batched, *batch), stack(results)
+        if not small and difference(together, apart, 1e-3):
+            _same(self.run(jax.jit(self.function), *calls[0]), results[0], wrong, 1e-3)
+        wrong = f"{self.name} differs under vmap: compute along a call's own axes, and give a"
+        _same(together, apart, f"{wrong} callback the vmap_method that fits", 1e-3)
         return results
 
 

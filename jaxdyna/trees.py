@@ -15,14 +15,15 @@ def is_key(leaf: Any) -> bool:
     return jax.dtypes.issubdtype(getattr(leaf, "dtype", None), jax.dtypes.prng_key)
 
 
+def raw(leaf: Any) -> Any:
+    """The leaf, or of a key its data."""
+    return jax.random.key_data(leaf) if is_key(leaf) else leaf
+
+
 def named_leaves(tree: Any) -> dict[str, np.ndarray]:
-    """Every leaf under its path, such as ``.params['w']``; of a key its data."""
-
-    def raw(leaf: Any) -> np.ndarray:
-        return np.asarray(jax.random.key_data(leaf) if is_key(leaf) else leaf)
-
+    """Every leaf under its path, such as ``.params['w']``, on the host; of a key its data."""
     leaves = jax.tree.leaves_with_path(tree)
-    return {jax.tree_util.keystr(path): raw(leaf) for path, leaf in leaves}
+    return {jax.tree_util.keystr(path): np.asarray(raw(leaf)) for path, leaf in leaves}
 
 
 def stack(trees: Sequence[Any]) -> Any:

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxdyna import rollout
 from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
 from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams
 from jaxdyna.envs import CartPole
 from jaxdyna.models import (
-    DreamHParams,
     LearnedEnvironment,
     LearnedParams,
     SupervisedConfig,
@@ -49,7 +49,6 @@ def hparams(**changes):
         ReinforceHParams(),
         SupervisedHParams(),
         ENV.default_params.replace(max_steps=20),
-        DreamHParams(),
     ).replace(**changes)
 
 
@@ -83,3 +82,25 @@ def assert_close(left, right, tolerance=1e-5):
     assert jax.tree.structure(left) == jax.tree.structure(right)
     for one, other in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
         np.testing.assert_allclose(one, other, rtol=tolerance, atol=tolerance)
+
+
+def returns_of(env, agent, hparams, steps, episodes):
+    """Of so many real episodes of so many steps, learning after each: ``[episodes]``."""
+
+    def episode(carry, _):
+        state, key = carry
+        key, key_play, key_learn = jax.random.split(key, 3)
+        played = rollout(
+            env, lambda obs, key: agent.act(state, obs, key, hparams), key_play,
+            env.default_params.replace(max_steps=steps), 1,
+        )  # fmt: skip
+        state, _ = agent.update(state, played, key_learn, hparams)
+        return (state, key), played.reward.sum()
+
+    @jax.jit
+    def train(key):
+        key_init, key = jax.random.split(key)
+        start = (agent.init(key_init, hparams), key)
+        return jax.lax.scan(episode, start, length=episodes)[1]
+
+    return train(jax.random.key(0))

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from parts import assert_same
+from parts import assert_same, returns_of
 
 from jaxdyna import rollout
 from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
@@ -277,28 +277,10 @@ def test_more_updates_learns_from_real_steps_alone():
 
 def test_reinforce_learns_where_one_reward_comes_at_the_end():
     """By its default; standardised within the episode, every end looks alike."""
-    env, hparams = Catch(4, 3), ReinforceHParams(0.03)
 
-    def last_returns(config):
+    def last(config):
         agent = reinforce((12,), 3, config)
+        return returns_of(Catch(4, 3), agent, ReinforceHParams(0.03), 3, 400)[-100:].mean()
 
-        def episode(carry, _):
-            state, key = carry
-            key, key_play, key_update = jax.random.split(key, 3)
-            played = rollout(
-                env, lambda obs, key: agent.act(state, obs, key, hparams), key_play,
-                CatchParams(max_steps=3), 1,
-            )  # fmt: skip
-            state, _ = agent.update(state, played, key_update, hparams)
-            return (state, key), played.reward.sum()
-
-        @jax.jit
-        def train(key):
-            key_init, key = jax.random.split(key)
-            start = (agent.init(key_init, hparams), key)
-            return jax.lax.scan(episode, start, length=400)[1][-100:].mean()
-
-        return train(jax.random.key(0))
-
-    assert last_returns(ReinforceConfig()) > 0.7
-    assert last_returns(ReinforceConfig(advantage=within_episode)) < 0.5
+    assert last(ReinforceConfig()) > 0.7
+    assert last(ReinforceConfig(advantage=within_episode)) < 0.5

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from parts import assert_close, assert_same
+from parts import assert_close, assert_same, returns_of
 
 from jaxdyna import rollout
 from jaxdyna.agents import DQNConfig, DQNHParams, dqn, exploration
@@ -228,28 +228,6 @@ def test_target_network():
 def test_clear_errors(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
         DQNConfig(**bad)
-
-
-def returns_of(env, agent, hparams, steps, episodes):
-    """Of so many real episodes, learning after each."""
-
-    def episode(carry, _):
-        state, key = carry
-        key, key_play, key_learn = jax.random.split(key, 3)
-        played = rollout(
-            env, lambda obs, key: agent.act(state, obs, key, hparams), key_play,
-            env.default_params.replace(max_steps=steps), 1,
-        )  # fmt: skip
-        state, _ = agent.update(state, played, key_learn, hparams)
-        return (state, key), played.reward.sum()
-
-    @jax.jit
-    def train(key):
-        key_init, key = jax.random.split(key)
-        start = (agent.init(key_init, hparams), key)
-        return jax.lax.scan(episode, start, length=episodes)[1]
-
-    return train(jax.random.key(0))
 
 
 def test_it_finds_the_goal():

@@ -159,7 +159,7 @@ ENVIRONMENTS = {
     "state begun by a Python number": (Untyped(), "retracing", "jnp.float32(0)"),
     "host's random numbers": (
         walk(REWARD, lambda reward, *_: reward + np.random.default_rng().random()),
-        "differs under jit", "from its key"),
+        "differs under jit", "its key"),
     "callback that knows no batches": (
         walk(REWARD, lambda _, state, *__: by_host(WALK.see(state))),
         "differs under vmap", "vmap_method"),
@@ -289,7 +289,7 @@ AGENTS = {
     "action of shape (1,)": ({"act": lambda *args: act(*args)[None]}, "shape (1,)", "scalar"),
     "action that there is not": (
         {"act": lambda *args: act(*args) + 1}, "action is 2", "within [0, 1]"),
-    "host's counter": ({"act": alternating}, "differs under jit", "in its arguments"),
+    "host's counter": ({"act": alternating}, "differs under jit", "in arguments"),
     "key used twice to act": ({"act": twice}, "random key twice", "jax.random.split"),
     "branch on values": ({"act": greedy_by_python}, "act branches", "jnp.where"),
     "dreams' action": (
@@ -451,7 +451,7 @@ PLANNERS = {
     "host's random numbers": (
         deciding(lambda said, *_: said._replace(
             value=said.value + np.random.default_rng().random())),
-        "differs under jit", "from its key"),
+        "differs under jit", "its key"),
 }  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from flax import struct
 
 from jaxdyna.fields import SettingError, check, setting
+from jaxdyna.models.environment import DreamHParams
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class DynaHParams:
     agent: Any = setting(help="The agent's.")
     model: Any = setting(help="The model's.")
     env: Any = setting(help="The real environment's params.")
-    dream: Any = setting((), "The dream's own, such as jaxdyna.models.DreamHParams.")
+    dream: Any = setting(factory=DreamHParams, help="The dream's own.")
     model_trains: bool = setting(
         True, "False computes the model's updates and discards them (the placebo)."
     )

@@ -31,7 +31,15 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
 
     Returns:
         ``init(key, hparams) -> state``.
+
+    Raises:
+        ValueError: where a replay is to be smaller that is not the run's own.
     """
+    if config.replay_capacity and dyna.memory is not None and dyna.memory.shared is not None:
+        raise ValueError(
+            f"replay_capacity is {config.replay_capacity}, but the agent's own replay is the "
+            "memory: set the agent's capacity, or give a memory that is not shared"
+        )
 
     def init(key: Key, hparams: DynaHParams) -> DynaState:
         key, key_agent, key_model = jax.random.split(key, 3)

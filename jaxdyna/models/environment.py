@@ -143,7 +143,7 @@ class LearnedEnvironment:
         state = LearnedState(next_obs, state.time + 1)
         terminated = self.terminates(prediction, params, key_end)
         truncated = (state.time >= params.max_steps) | self.truncates(prediction, params)
-        truncated = truncated & ~terminated
+        truncated = truncated & jnp.logical_not(terminated)
         info = {"prediction": prediction}
         return state.obs, state, prediction.reward, terminated, truncated, info
 

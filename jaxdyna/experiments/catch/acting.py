@@ -13,7 +13,7 @@ from jaxdyna.experiments.report.tables import markdown_table, with_interval
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.frames import frame_dyna, true_dyna
 from jaxdyna.fields import LARGEST, changed, setting
-from jaxdyna.models import DreamHParams, PixelConfig, PixelHParams, pixels
+from jaxdyna.models import PixelConfig, PixelHParams, pixels
 from jaxdyna.networks import GlimpseQ, JointReward, LocalDynamics
 from jaxdyna.rollout import rollout
 from jaxdyna.statistics import SolveRule, mean_of_runs
@@ -33,6 +33,7 @@ class CatchOptions(Options):
     decided: ClassVar = {
         "dyna.num_episodes": "--episodes",
         "dyna.num_steps": "--rows",
+        "dyna.replay_capacity": "--agent.capacity",
         "hparams.env.max_steps": "--rows",
         "agent.network": "the experiment",
     }
@@ -57,7 +58,7 @@ class CatchOptions(Options):
     ))  # fmt: skip
     hparams: DynaHParams = setting(factory=lambda: DynaHParams(
         DQNHParams(epsilon_hold=10.0, epsilon_episodes=40.0, discount=0.97, target_rate=0.02),
-        PixelHParams(1e-2), CatchParams(), DreamHParams(),
+        PixelHParams(1e-2), CatchParams(),
     ))  # fmt: skip
 
     def resolved(self) -> Self:

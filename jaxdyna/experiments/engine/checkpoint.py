@@ -16,6 +16,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxdyna.trees import is_key, named_leaves, raw
+
 Curves = dict[str, np.ndarray]
 CHECKPOINT_SECONDS = 20.0
 CHECKPOINT_SHARE = 0.05
@@ -56,7 +58,7 @@ class Kept:
         named, structure = jax.tree_util.tree_flatten_with_path(like)
         wanted = {jax.tree_util.keystr(path): example for path, example in named}
         for name in (*wanted, *self.state):
-            now, then = (_sort(_raw(tree[name])) if name in tree else "not there"
+            now, then = (_sort(raw(tree[name])) if name in tree else "not there"
                          for tree in (wanted, self.state))  # fmt: skip
             if now != then:
                 raise InputError(
@@ -65,7 +67,7 @@ class Kept:
                 )
         leaves = [
             jax.random.wrap_key_data(self.state[name], impl=jax.random.key_impl(example))
-            if _is_key(example)
+            if is_key(example)
             else self.state[name]
             for name, example in wanted.items()
         ]
@@ -88,8 +90,7 @@ class BlockStore:
         arrays: Curves = {f"metrics/{name}": values for name, values in kept.metrics.items()}
         for row, curves in kept.over.items():
             arrays |= {f"over/{row}/{name}": values for name, values in curves.items()}
-        for path, leaf in jax.tree_util.tree_flatten_with_path(kept.state)[0]:
-            arrays[f"state/{jax.tree_util.keystr(path)}"] = np.asarray(_raw(leaf))
+        arrays |= {f"state/{path}": leaf for path, leaf in named_leaves(kept.state).items()}
         about = {"done": kept.done, "over": list(kept.over), "seconds": seconds}
         self.path.parent.mkdir(parents=True, exist_ok=True)
         part = self.path.with_suffix(".part")
@@ -160,11 +161,3 @@ def _opened(path: Path) -> Iterator[Any]:
 
 def _sort(array: Any) -> str:
     return f"{array.dtype}{list(array.shape)}"
-
-
-def _raw(leaf: Any) -> Any:
-    return jax.random.key_data(leaf) if _is_key(leaf) else leaf
-
-
-def _is_key(leaf: Any) -> bool:
-    return hasattr(leaf, "dtype") and jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)

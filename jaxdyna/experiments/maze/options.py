@@ -10,7 +10,7 @@ from jaxdyna.envs import MazeParams
 from jaxdyna.experiments.engine import Options, Overrides
 from jaxdyna.experiments.maze.frames import TUNED as FRAMES
 from jaxdyna.fields import LARGEST, SettingError, changed, setting
-from jaxdyna.models import DreamHParams, PixelHParams
+from jaxdyna.models import PixelHParams
 from jaxdyna.planners import SearchConfig, ShootingConfig
 
 EVERY_ACTION = "MuZero's search, which looks at every action"
@@ -22,6 +22,7 @@ class MazeOptions(Options):
 
     decided: ClassVar = {
         "dyna.num_episodes": "--episodes", "dyna.num_steps": "--steps",
+        "dyna.replay_capacity": "--agent.capacity",
         "hparams.env.max_steps": "--steps", "agent.network": "--network",
         "mpc.discount": "--hparams.agent.discount", "mcts.discount": "--hparams.agent.discount",
         "mcts.considered": EVERY_ACTION, "mcts.gumbel_scale": EVERY_ACTION,
@@ -65,7 +66,6 @@ class MazeOptions(Options):
     ))  # fmt: skip
     hparams: DynaHParams = setting(factory=lambda: DynaHParams(
         DQNHParams(epsilon_hold=30.0, target_rate=0.02), PixelHParams(3e-3), MazeParams(),
-        DreamHParams(),
     ))  # fmt: skip
     mpc: ShootingConfig = setting(factory=lambda: ShootingConfig(5, 32, drift=1.0))
     mcts: SearchConfig = setting(factory=lambda: SearchConfig(simulations=32))

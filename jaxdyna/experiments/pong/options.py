@@ -7,7 +7,7 @@ from jaxdyna.agents import DQNConfig, DQNHParams
 from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.experiments.pong.world import RULES, GameOptions
 from jaxdyna.fields import LARGEST, SettingError, changed, setting
-from jaxdyna.models import DreamHParams, PixelHParams
+from jaxdyna.models import PixelHParams
 
 MAIN_ARMS = ("model_free", "dyna_l2", "dyna_adversarial", "dyna")
 TRUE_OBJECTS = {
@@ -25,6 +25,7 @@ class PongOptions(GameOptions):
     decided: ClassVar = {
         "dyna.num_episodes": "--episodes",
         "dyna.num_steps": "--steps",
+        "dyna.replay_capacity": "--agent.capacity",
         "agent.network": "--frames",
         "hparams.env.max_steps": "--steps",
         "hparams.env.points_to_win": "--steps",
@@ -49,7 +50,7 @@ class PongOptions(GameOptions):
     hparams: DynaHParams = setting(factory=lambda: DynaHParams(
         DQNHParams(discount=0.97, epsilon_hold=20.0, epsilon_episodes=30.0, epsilon_last=0.02,
                    epsilon_fake=0.1),
-        PixelHParams(2e-3), RULES, DreamHParams(),
+        PixelHParams(2e-3), RULES,
     ))  # fmt: skip
 
     def __post_init__(self) -> None:
