@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from jaxdyna.experiments.report import tables
 from jaxdyna.statistics import carried, mean_interval, running_mean
 
 COLOURS = {
@@ -230,20 +231,22 @@ def colours(names: Sequence[str]) -> list[str]:
 
 
 def swept_map(
-    path: Path, sweep: Mapping[str, Sequence[Any]], values: Mapping[str, Sequence[float]], what: str
+    path: Path, sweep: Mapping[str, Sequence[Any]], solved: Mapping[str, Sequence[Any]], what: str
 ) -> None:
     """``what`` over a grid of two settings, a panel an arm, rows first; ``sweep`` has the settings'
-    values by dotted path.
+    values by dotted path, ``solved`` summaries of runs, an unsolved one at the least it can be.
     """
     (rows, row_values), (columns, column_values) = sweep.items()
-    size = (1.5 + (2.4 + 0.7 * len(column_values)) * len(values), 2.2 + 0.5 * len(row_values))
-    figure, panels = subplots(1, len(values), figsize=size, squeeze=False)
-    for panel, (name, numbers) in zip(panels.flat, values.items(), strict=True):
-        grid = np.reshape(numbers, (len(row_values), len(column_values)))
+    size = (1.5 + (2.4 + 0.7 * len(column_values)) * len(solved), 2.2 + 0.5 * len(row_values))
+    figure, panels = subplots(1, len(solved), figsize=size, squeeze=False)
+    for panel, (name, each) in zip(panels.flat, solved.items(), strict=True):
+        shape = len(row_values), len(column_values)
+        grid = np.reshape([one["restricted_mean"] for one in each], shape)
+        said = np.reshape([tables.number(one) for one in each], shape)
         picture = panel.imshow(grid, cmap="viridis_r", aspect="auto")
         for (row, column), value in np.ndenumerate(grid):
             shade = "black" if value <= (grid.min() + grid.max()) / 2 else "white"
-            panel.text(column, row, f"{value:.0f}", ha="center", va="center", color=shade)
+            panel.text(column, row, said[row, column], ha="center", va="center", color=shade)
         panel.set_xticks(range(len(column_values)), [str(value) for value in column_values])
         panel.set_yticks(range(len(row_values)), [str(value) for value in row_values])
         finish(panel, name, columns, rows, legend=False)

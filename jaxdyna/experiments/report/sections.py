@@ -131,9 +131,9 @@ def swept(record: Any) -> str:
         return ""
     if len(sweep) == 2:
         solved = {
-            arm: [record.results["arms"][name]["episodes_to_solve"]["restricted_mean"]
-                  for name in names] for arm, names in whole.items()
-        }  # fmt: skip
+            arm: [record.results["arms"][name]["episodes_to_solve"] for name in names]
+            for arm, names in whole.items()
+        }
         plots.swept_map(file, sweep, solved, "episodes to solve, mean")
     else:
         panels = {
