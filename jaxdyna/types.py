@@ -158,7 +158,9 @@ class Memory(NamedTuple):
 
     def of(self, state: Any) -> Any:
         """The memory of a `jaxdyna.dyna.DynaState`."""
-        return state.replay if self.shared is None else self.shared(state.agent)
+        if self.shared is None or state.replay is not None:
+            return state.replay
+        return self.shared(state.agent)
 
 
 class Prediction(NamedTuple):

@@ -46,23 +46,15 @@ def watch(real, states, params):
     return {"best": plan.best_return.mean(), "drawn": drawn, "played": played}
 
 
-LEARNED = LearnedEnvironment(ENV, MODEL.predict, start)
-
-
-def parts(shared):
-    """With the agent's own replay for the model's too, or another one."""
-    kept = memory.frames(lambda rest: rest["reward"] != 0, shared=shared)
-
-    def params(state, hparams):
-        return LearnedParams(state.model.params, kept.of(state))
-
-    return Dyna(
-        ENV, AGENT, MODEL, Dream(LEARNED, params), watch=watch, memory=kept,
-        record=lambda state, after, info: state.env,
-    )  # fmt: skip
-
-
-DYNA = parts(real_memory)
+MEMORY = memory.frames(lambda rest: rest["reward"] != 0, shared=real_memory)
+DREAM = Dream(
+    LearnedEnvironment(ENV, MODEL.predict, start),
+    lambda state, hparams: LearnedParams(state.model.params, MEMORY.of(state)),
+)
+DYNA = Dyna(
+    ENV, AGENT, MODEL, DREAM, watch=watch, memory=MEMORY,
+    record=lambda state, after, info: state.env,
+)  # fmt: skip
 CONFIG = DynaConfig(
     num_episodes=EPISODES, num_real_first=FIRST, num_steps=STEPS, model_updates=2, model_batch=8,
     dream_updates=2, dream_episodes=3, dream_steps=4, rare_share=0.5,
@@ -91,10 +83,9 @@ def test_dreams_branch_off_from_real_frames(run):
 
 
 @pytest.mark.slow
-def test_real_steps_that_are_remembered_twice_change_nothing(run):
-    own = parts(None)
+def test_real_steps_that_the_model_keeps_itself_change_nothing(run):
     config = replace(CONFIG, replay_capacity=AGENT_CONFIG.capacity)
-    whole, metrics = jax.jit(make_train(own, config))(jax.random.key(0), HPARAMS)
+    whole, metrics = jax.jit(make_train(DYNA, config))(jax.random.key(0), HPARAMS)
     assert int(whole.replay.size) == EPISODES * STEPS
     assert_same((whole.agent, whole.model, metrics), (run[0].agent, run[0].model, run[1]))
 

@@ -42,7 +42,9 @@ class DynaConfig:
         everyday=True,
     )
     replay_capacity: int | None = setting(
-        None, "Newest real transitions that are kept, at least one episode; None keeps all."
+        None,
+        "Newest real transitions that model and dreams know, at least one episode; None: all, or "
+        "those in the agent's own replay where it has one that serves.",
     )
     rare_share: float | None = setting(
         None,

@@ -31,21 +31,13 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
 
     Returns:
         ``init(key, hparams) -> state``.
-
-    Raises:
-        ValueError: where a replay is to be smaller that is not the run's own.
     """
-    if config.replay_capacity and dyna.memory is not None and dyna.memory.shared is not None:
-        raise ValueError(
-            f"replay_capacity is {config.replay_capacity}, but the agent's own replay is the "
-            "memory: set the agent's capacity, or give a memory that is not shared"
-        )
 
     def init(key: Key, hparams: DynaHParams) -> DynaState:
         key, key_agent, key_model = jax.random.split(key, 3)
         agent = dyna.agent.init(key_agent, hparams.agent)
         model = dyna.model and dyna.model.init(key_model, hparams.model)
-        if dyna.memory is None or not _remembers(dyna):
+        if dyna.memory is None or not _remembers(dyna, config):
             return DynaState(agent, model, None, None, key)
         episode = jax.eval_shape(lambda: play_real(dyna, config, agent, key, hparams))
         example, recorded = jax.tree.map(
@@ -102,7 +94,7 @@ def make_step(
         if dyna.watch is not None:
             metrics |= dyna.watch(real, recorded, hparams.env)
         awake = True if dyna.safe is None else ~dyna.safe(real)
-        if _remembers(dyna):
+        if _remembers(dyna, config):
             state = _remember(dyna, state, real, recorded, episode)
         if dyna.model is not None:
             key_judge, key_sample, key_update = jax.random.split(key_model, 3)
@@ -210,12 +202,13 @@ def _learn_policy(dyna, config, agent, real, episode, key, hparams) -> tuple[Any
     return agent, {"agent_loss": loss} | _summary("real", real)
 
 
-def _remembers(dyna: Dyna) -> bool:
+def _remembers(dyna: Dyna, config: DynaConfig) -> bool:
     """Whether the run keeps its real transitions itself: somebody asks for them, and the agent's
     own do not serve.
     """
     asked = dyna.model is not None or dyna.dream is not None
-    return asked and dyna.memory is not None and dyna.memory.shared is None
+    own = config.replay_capacity is not None
+    return asked and dyna.memory is not None and (own or dyna.memory.shared is None)
 
 
 def _remember(dyna, state, real, recorded, episode) -> DynaState:

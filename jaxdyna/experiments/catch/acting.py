@@ -33,7 +33,6 @@ class CatchOptions(Options):
     decided: ClassVar = {
         "dyna.num_episodes": "--episodes",
         "dyna.num_steps": "--rows",
-        "dyna.replay_capacity": "--agent.capacity",
         "hparams.env.max_steps": "--rows",
         "agent.network": "the experiment",
     }

@@ -22,7 +22,6 @@ class MazeOptions(Options):
 
     decided: ClassVar = {
         "dyna.num_episodes": "--episodes", "dyna.num_steps": "--steps",
-        "dyna.replay_capacity": "--agent.capacity",
         "hparams.env.max_steps": "--steps", "agent.network": "--network",
         "mpc.discount": "--hparams.agent.discount", "mcts.discount": "--hparams.agent.discount",
         "mcts.considered": EVERY_ACTION, "mcts.gumbel_scale": EVERY_ACTION,

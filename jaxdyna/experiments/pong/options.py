@@ -25,7 +25,6 @@ class PongOptions(GameOptions):
     decided: ClassVar = {
         "dyna.num_episodes": "--episodes",
         "dyna.num_steps": "--steps",
-        "dyna.replay_capacity": "--agent.capacity",
         "agent.network": "--frames",
         "hparams.env.max_steps": "--steps",
         "hparams.env.points_to_win": "--steps",
