@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -20,14 +21,23 @@ from jaxdyna.fields import check, setting
 from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.replay import ring
 from jaxdyna.replay.ring import Replay
-from jaxdyna.types import Agent, Key, Transition
+from jaxdyna.types import Agent, Key, Transition, check_transitions
 
 Loss = Callable[[jax.Array, jax.Array], jax.Array]
 """``(outputs [A], action) -> loss`` of one imitated action, a scalar."""
 
 
 def cross_entropy_loss(outputs: jax.Array, action: jax.Array) -> jax.Array:
-    """``-log pi(action)`` of a policy's log odds (Pomerleau 1991)."""
+    """``-log pi(action)`` (Pomerleau 1991).
+
+    Args:
+        outputs: a policy's log odds, ``[A]``.
+        action: the shown one, int scalar.
+
+    Returns:
+        A scalar, in nats.
+    """
+    chex.assert_rank([outputs, action], [1, 0])
     return -jax.nn.log_softmax(outputs)[action]
 
 
@@ -43,6 +53,7 @@ def margin_loss(outputs: jax.Array, action: jax.Array, margin: float = 0.8) -> j
 class CloningConfig:
     """What decides the program."""
 
+    chex.assert_rank([outputs, action], [1, 0])
     updates: int = setting(
         200,
         "Gradient steps after each shown episode, on all that was shown so far.",
@@ -142,6 +153,7 @@ def cloning(
         if config.learns_too:
             own, _ = agent.update(own, transitions, key_own, hparams)
             params = own.params
+        check_transitions(transitions, 2)
         params, loss = imitate(params, shown, key_imitate)
         new = CloningState(own, shown, params, jnp.bool_(True))
         new = jax.tree.map(lambda new, old: jnp.where(seen.any(), new, old), new, state)

@@ -15,7 +15,7 @@ from jaxdyna.fields import check, setting
 from jaxdyna.losses import discounted_returns, policy_gradient, standardise
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, optimizer_setting
-from jaxdyna.types import Agent, Key, Transition
+from jaxdyna.types import Agent, Key, Transition, check_transitions
 
 
 def no_baseline(returns: jax.Array, valid: jax.Array) -> jax.Array:
@@ -141,6 +141,7 @@ def reinforce(
 
         def loss_fn(params):
             outputs = jax.vmap(jax.vmap(logits, (None, 0)), (None, 0))(params, transitions.obs)
+        check_transitions(transitions, 2)
             losses = jax.vmap(policy_gradient)(outputs, transitions.action, advantage, weight)
             return losses.mean()
 

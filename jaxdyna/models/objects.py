@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -26,7 +27,7 @@ from jaxdyna.networks.objects import (
     rectangles_of,
 )
 from jaxdyna.optimizers import Optimizer, optimizer_setting
-from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
+from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,7 @@ def rectangles(
         return RectangleState(variables, optimizer.init(variables["params"]))
 
     def predict(params: Any, obs: jax.Array, action: jax.Array, key: Key) -> Prediction:
+        chex.assert_rank([obs, action], [3, 0])
         past = rectangles_of(obs[None], channels)
         one_hot = jax.nn.one_hot(action[None], num_actions)
         settle = _drawing(key) if config.draws else _likeliest
@@ -163,6 +165,7 @@ def _learner(
         state: RectangleState, transitions: Transition, key: Key, hparams: Any
     ) -> tuple[RectangleState, dict[str, jax.Array]]:
         """One gradient step; ``metrics`` are the mean losses of a transition."""
+        check_transitions(transitions)
         lead, channels = transitions.mask.ndim, len(sum(config.groups, ()))
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[lead:]), transitions)
         batch, weight = batch.blanked(), batch.weights
