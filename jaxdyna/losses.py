@@ -173,7 +173,10 @@ def deceive(fake_logit: jax.Array) -> jax.Array:
     """The generator's loss ``-log D(G(z))``, the non-saturating one (Goodfellow et al. 2014).
 
     Args:
-        fake_logit: the discriminator's log odds that a made picture is a true one.
+        fake_logit: the discriminator's log odds that a made picture is a true one, any shape.
+
+    Returns:
+        The same shape.
     """
     return jax.nn.softplus(-fake_logit)
 

@@ -42,9 +42,18 @@ def cross_entropy_loss(outputs: jax.Array, action: jax.Array) -> jax.Array:
 
 
 def margin_loss(outputs: jax.Array, action: jax.Array, margin: float = 0.8) -> jax.Array:
-    """``max_a (Q(a) + margin [a is not the shown one]) - Q(shown)``, for values of actions (DQfD,
-    Hester et al. 2018, their J_E): the shown action has to be the best by a margin.
+    """``max_a (Q(a) + margin [a is not the shown one]) - Q(shown)`` (DQfD, Hester et al. 2018,
+    their J_E): the shown action has to be the best by a margin.
+
+    Args:
+        outputs: values of actions, ``[A]``.
+        action: the shown one, int scalar.
+        margin: in the values' unit.
+
+    Returns:
+        A scalar, in the values' unit.
     """
+    chex.assert_rank([outputs, action], [1, 0])
     ahead = outputs + margin * (jnp.arange(outputs.shape[-1]) != action)
     return ahead.max() - outputs[action]
 
@@ -53,7 +62,6 @@ def margin_loss(outputs: jax.Array, action: jax.Array, margin: float = 0.8) -> j
 class CloningConfig:
     """What decides the program."""
 
-    chex.assert_rank([outputs, action], [1, 0])
     updates: int = setting(
         200,
         "Gradient steps after each shown episode, on all that was shown so far.",
@@ -145,6 +153,7 @@ def cloning(
         return params, losses.mean()
 
     def update_expert(state: CloningState, transitions: Transition, key: Key, hparams: Any):
+        check_transitions(transitions, 2)
         key_own, key_imitate = jax.random.split(key)
         seen = transitions.weights > 0
         items = (transitions.obs, transitions.action.astype(state.shown.data[1].dtype))
@@ -153,7 +162,6 @@ def cloning(
         if config.learns_too:
             own, _ = agent.update(own, transitions, key_own, hparams)
             params = own.params
-        check_transitions(transitions, 2)
         params, loss = imitate(params, shown, key_imitate)
         new = CloningState(own, shown, params, jnp.bool_(True))
         new = jax.tree.map(lambda new, old: jnp.where(seen.any(), new, old), new, state)

@@ -124,8 +124,8 @@ def rectangles(
 def rectangle_probability(
     frame_shape: tuple[int, int, int], num_actions: int, config: RectangleConfig
 ) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
-    """What a model of `rectangles` believes of each pixel, the things of earlier groups taken to be
-    where they are likeliest.
+    """What a model of `rectangles` with these arguments believes of each pixel, the things of
+    earlier groups taken to be where they are likeliest.
 
     Returns:
         ``(params, obs [N, H, W, C * frames], action [N]) -> [N, H, W, C]`` in [0, 1].
@@ -204,8 +204,14 @@ def _learner(
 
 
 def surprise(odds: EdgeOdds, truth: Rectangles) -> jax.Array:
-    """The cross-entropy of each thing ``[N, C]``: whether it is there and, where it is, of its four
-    edges.
+    """The cross-entropy of each thing: whether it is there and, where it is, of its four edges.
+
+    Args:
+        odds: what is believed, ``[N, C]``.
+        truth: what there is, ``[N, C]``.
+
+    Returns:
+        ``[N, C]``, in nats.
     """
     places = jnp.concatenate(
         [-_at(odds.rows, truth.edge[..., :2]), -_at(odds.columns, truth.edge[..., 2:])], axis=-1

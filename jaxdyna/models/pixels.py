@@ -229,7 +229,7 @@ def _weigh(
 def frame_probability(
     num_actions: int, config: PixelConfig
 ) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
-    """What a model of `pixels` believes before any threshold.
+    """What a model of `pixels` with these arguments believes before any threshold.
 
     Returns:
         ``(params, obs [N, H, W, C * frames], action [N]) -> [N, H, W, C]`` in [0, 1].
