@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -20,6 +21,7 @@ def discounted_returns(reward: jax.Array, discount: jax.Array | float) -> jax.Ar
     Returns:
         ``[T]``. Nothing is bootstrapped at the end (Williams 1992, REINFORCE).
     """
+    chex.assert_rank([reward, discount], [1, 0])
 
     def step(following, reward_t):
         following = reward_t + discount * following
@@ -39,6 +41,8 @@ def standardise(values: jax.Array, mask: jax.Array) -> jax.Array:
     Returns:
         The same shape, 0 where masked out. A lone value, or equal ones, become 0.
     """
+    chex.assert_type(mask, bool)
+    chex.assert_equal_shape([values, mask])
     count = jnp.maximum(mask.sum(), 1)
     centred = jnp.where(mask, values - jnp.where(mask, values, 0).sum() / count, 0)
     variance = jnp.square(centred).sum() / count
@@ -59,6 +63,9 @@ def policy_gradient(
     Returns:
         A scalar (Williams 1992).
     """
+    chex.assert_rank([logits, action, advantage, weight], [2, 1, 1, 1])
+    chex.assert_type(action, int)
+    chex.assert_equal_shape_prefix([logits, action, advantage, weight], 1)
     log_prob = jnp.take_along_axis(jax.nn.log_softmax(logits), action[:, None], axis=-1)[:, 0]
     return -(weight * jax.lax.stop_gradient(advantage) * log_prob).sum()
 
@@ -85,6 +92,9 @@ def td_error(
     Returns:
         A scalar.
     """
+    chex.assert_rank([values, action, reward, discount], [1, 0, 0, 0])
+    chex.assert_type(action, int)
+    chex.assert_equal_shape([values, next_values, next_choice])
     target = reward + discount * next_values[jnp.argmax(next_choice)]
     return jax.lax.stop_gradient(target) - values[action]
 
@@ -111,6 +121,9 @@ def transition_loss(
         A scalar. The paper prints the cross-entropy's two terms with ``p`` and ``1 - p``; from the
         logit they cannot overflow.
     """
+    chex.assert_equal_shape([next_obs, true_next_obs])
+    chex.assert_rank([next_obs, reward, terminated_logit], [1, 0, 0])
+    chex.assert_rank([true_reward, true_terminated], 0)
     state_error = jnp.square(next_obs - true_next_obs).sum()
     reward_error = jnp.square(reward - true_reward)
     end_error = optax.sigmoid_binary_cross_entropy(
@@ -160,11 +173,23 @@ def deceive(fake_logit: jax.Array) -> jax.Array:
     """The generator's loss ``-log D(G(z))``, the non-saturating one (Goodfellow et al. 2014).
 
     Args:
-        fake_logit: the discriminator's log odds that a made picture is a true one.
+        fake_logit: the discriminator's log odds that a made picture is a true one, any shape.
+
+    Returns:
+        The same shape.
     """
     return jax.nn.softplus(-fake_logit)
 
 
 def discern(real_logit: jax.Array, fake_logit: jax.Array) -> jax.Array:
-    """The discriminator's loss ``-log D(x) - log(1 - D(G(z)))`` (§4.3), from log odds."""
+    """The discriminator's loss ``-log D(x) - log(1 - D(G(z)))`` (§4.3).
+
+    Args:
+        real_logit: the discriminator's log odds that a true picture is one, any shape.
+        fake_logit: that a made picture is one, the same shape.
+
+    Returns:
+        The same shape.
+    """
+    chex.assert_equal_shape([real_logit, fake_logit])
     return jax.nn.softplus(-real_logit) + jax.nn.softplus(fake_logit)

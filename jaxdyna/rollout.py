@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.types import Environment, Key, Transition
+from jaxdyna.types import Environment, Key, Transition, check_transitions
 
 Record = Callable[[Any, Any, dict[str, Any]], Any]
 """``(state, next_state, info) -> pytree``: what is kept of a step beside its `Transition`: of the
@@ -46,6 +46,7 @@ def rollout(
         With ``record`` a pair, the other being what was recorded, leaves ``[N, T, ...]``.
 
     Raises:
+        AssertionError: where actions are no integers, or a reward is no scalar.
         ValueError: where N or T is not positive, or T is left open under a traced ``max_steps``.
     """
     if num_steps is None:
@@ -86,6 +87,7 @@ def rollout(
         return jax.lax.scan(step, start, jnp.arange(num_steps))[1]
 
     played, recorded = jax.vmap(episode)(jax.random.split(key, num_episodes))
+    check_transitions(played, 2)
     return (played, recorded) if record else played
 
 

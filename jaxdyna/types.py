@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
+import chex
 import jax
 import jax.numpy as jnp
 
@@ -49,13 +50,10 @@ class Transition(NamedTuple):
         """The mask.
 
         Raises:
-            TypeError: where it is not bool.
+            AssertionError: where it is not bool.
         """
-        if self.mask.dtype != jnp.bool_:
-            raise TypeError(
-                f"a transition's mask is {self.mask.dtype}: it says which steps there are, bool; "
-                "how much each counts is its weight"
-            )
+        meaning = "a mask says which steps there are; how much each counts is its weight"
+        chex.assert_type(self.mask, bool, custom_message=meaning)
         return self.mask
 
     @property
@@ -72,6 +70,24 @@ class Transition(NamedTuple):
             return jnp.where(mask, leaf, jnp.zeros((), leaf.dtype))
 
         return jax.tree.map(blank, self)
+
+
+def check_transitions(transitions: Transition, rank: int | None = None) -> None:
+    """Refuses transitions whose arrays disagree about the leading axes, which are the mask's.
+
+    Args:
+        transitions: what is given, with a bool mask and integer actions.
+        rank: how many leading axes there have to be, 2 of episodes ``[N, T]``; None: any number.
+
+    Raises:
+        AssertionError: where they are no such transitions.
+    """
+    mask, action = transitions.valid, transitions.action
+    ends = [transitions.terminated, transitions.truncated]
+    chex.assert_rank(mask, mask.ndim if rank is None else rank)
+    chex.assert_type(action, int)
+    chex.assert_equal_shape([mask, transitions.reward, *ends])
+    chex.assert_equal_shape_prefix([mask, action, transitions.obs, transitions.next_obs], mask.ndim)
 
 
 class Environment(Protocol):

@@ -214,6 +214,50 @@ def test_model(name):
         check_model(FRAME_MODELS[name], hparams, small_episodes(True))
 
 
+MISTAKES = {
+    "a float mask": lambda real: real._replace(mask=real.mask * 1.0),
+    "float actions": lambda real: real._replace(action=real.action * 1.0),
+    "rewards with an axis more": lambda real: real._replace(reward=real.reward[..., None]),
+    "ends of one episode": lambda real: real._replace(terminated=real.terminated[:1]),
+    "observations of fewer episodes": lambda real: real._replace(obs=real.obs[:1]),
+    "steps without episodes": lambda real: jax.tree.map(lambda leaf: leaf[0], real),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_learners_refuse_what_are_no_transitions(mistake):
+    """But for models, whose transitions have any leading axes."""
+    wrong, key = MISTAKES[mistake](small_episodes(False)), jax.random.key(0)
+    parts = [(AGENTS[name]()[0], DQNHParams()) for name in ("no_baseline", "dqn_vectors")]
+    parts += [(imitation_alone(False), DQNHParams())]
+    if mistake != "steps without episodes":
+        parts += [
+            (model, AdversarialHParams()) for model in (MODELS["paper"], *FRAME_MODELS.values())
+        ]
+    for part, hparams in parts:
+        state = jax.eval_shape(part.init, key, hparams)
+        for update in (part.update, getattr(part, "update_fake", None)):
+            if update is not None:
+                with pytest.raises(AssertionError, match=r"rank|type|shape"):
+                    jax.eval_shape(update, state, wrong, key, hparams)
+
+
+def test_one_observation_at_a_time():
+    obs, action, key = jnp.zeros((2, 4)), jnp.int32(0), jax.random.key(0)
+    agent, model = q_learner(False)[0], MODELS["paper"]
+    state = jax.eval_shape(agent.init, key, DQNHParams())
+    with pytest.raises(AssertionError, match="rank"):
+        jax.eval_shape(agent.act, state, obs, key, DQNHParams())
+    params = jax.eval_shape(model.init, key, SupervisedHParams()).params
+    with pytest.raises(AssertionError, match="shape"):
+        jax.eval_shape(model.predict, params, obs, action, key)
+    stacks = jnp.zeros((2, *FRAME[:2], 12), jnp.uint8)
+    for name in ("local", "rectangles"):
+        params = jax.eval_shape(FRAME_MODELS[name].init, key, PixelHParams()).params
+        with pytest.raises(AssertionError, match="rank"):
+            jax.eval_shape(FRAME_MODELS[name].predict, params, stacks, action, key)
+
+
 PLANNERS = {
     "random_shooting": lambda env: random_shooting(env, ShootingConfig(2, 4)),
     "cross_entropy": lambda env: cross_entropy(env, CrossEntropyConfig(2, 4, elites=2)),

@@ -191,6 +191,11 @@ def test_clear_errors():
         frame_replay.add(frame_replay.init(20, 9, example(episodes)), episodes)
     with pytest.raises(ValueError, match="at once"):
         frame_replay.add(frame_replay.init(90, 2, example(episodes)), episodes)
+    buffer = frame_replay.init(90, 9, example(episodes))
+    with pytest.raises(AssertionError, match="says which steps there are"):
+        frame_replay.add(buffer, episodes._replace(mask=episodes.mask * 1.0))
+    with pytest.raises(AssertionError, match="shape"):
+        frame_replay.add(buffer, episodes._replace(reward=episodes.reward.T))
     with pytest.raises(ValueError, match="equal depth"):
         frame_replay.init(20, 9, example(episodes), num_frames=5)
     with pytest.raises(ValueError, match="at least one episode"):

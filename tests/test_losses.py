@@ -2,9 +2,18 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
+from jaxdyna.agents.cloning import cross_entropy_loss, margin_loss
 from jaxdyna.agents.reinforce import over_batch, per_step, within_episode
-from jaxdyna.losses import discounted_returns, policy_gradient, standardise, transition_loss
+from jaxdyna.losses import (
+    discern,
+    discounted_returns,
+    policy_gradient,
+    standardise,
+    td_error,
+    transition_loss,
+)
 
 
 def test_discounted_returns():
@@ -62,3 +71,30 @@ def test_per_step_leaves_equal_episodes_alone_and_a_single_one_to_itself():
     np.testing.assert_array_equal(per_step(returns, jnp.ones((4, 3), bool)), np.zeros((4, 3)))
     alone = (returns[:1], jnp.ones((1, 3), bool))
     np.testing.assert_array_equal(per_step(*alone), within_episode(*alone))
+
+
+ROW, ROWS, ACTIONS, ONE = jnp.ones(3), jnp.ones((3, 2)), jnp.zeros(3, int), jnp.float32(1)
+WRONG = {
+    "returns of several episodes": lambda: discounted_returns(ROWS, 0.5),
+    "a discount a step": lambda: discounted_returns(ROW, ROW),
+    "a float mask": lambda: standardise(ROW, ROW),
+    "a mask of other steps": lambda: standardise(ROW, jnp.ones(2, bool)),
+    "logits without steps": lambda: policy_gradient(ROW, ACTIONS, ROW, ROW),
+    "float actions": lambda: policy_gradient(ROWS, ROW, ROW, ROW),
+    "weights of other steps": lambda: policy_gradient(ROWS, ACTIONS, ROW, ROW[:1]),
+    "values of several states": lambda: td_error(ROWS, 0, 1.0, 0.5, ROW, ROW),
+    "a float action": lambda: td_error(ROW, 0.0, 1.0, 0.5, ROW, ROW),
+    "values of fewer actions": lambda: td_error(ROW, 0, 1.0, 0.5, ROW, ROW[:2]),
+    "a reward with an axis": lambda: transition_loss(ROW, ROW[:1], ONE, ROW, ONE, ONE),
+    "another observation": lambda: transition_loss(ROW, ONE, ONE, ROW[:1], ONE, ONE),
+    "a true end with an axis": lambda: transition_loss(ROW, ONE, ONE, ROW, ONE, ROW[:1]),
+    "fewer made pictures": lambda: discern(ROW, ROW[:1]),
+    "log odds of several states": lambda: cross_entropy_loss(ROWS, 0),
+    "actions at once": lambda: margin_loss(ROW, ACTIONS),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_would_only_be_broadcast_is_refused(name):
+    with pytest.raises(AssertionError, match=r"rank|type|shape"):
+        WRONG[name]()

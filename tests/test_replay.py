@@ -92,3 +92,7 @@ def test_clear_errors():
         ring.init(0, jnp.zeros(()))
     with pytest.raises(ValueError, match="5 items at once"):
         ring.add(ring.init(3, jnp.zeros(())), jnp.zeros(5), jnp.ones(5, bool))
+    with pytest.raises(AssertionError, match="type"):
+        ring.add(ring.init(3, jnp.zeros(())), jnp.zeros(2), jnp.ones(2))
+    with pytest.raises(AssertionError, match="shape"):
+        ring.add(ring.init(9, jnp.zeros(())), jnp.zeros(6), jnp.ones((2, 3), bool))

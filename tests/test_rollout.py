@@ -183,3 +183,8 @@ def test_an_environment_may_answer_in_plain_python():
 def test_clear_errors():
     with pytest.raises(ValueError, match="0 episodes"):
         play(episodes=0)
+    with pytest.raises(AssertionError, match="type"):
+        jax.eval_shape(
+            lambda key: rollout(ENV, lambda obs, key: obs[0], key, PARAMS, 2, num_steps=3),
+            jax.random.key(0),
+        )

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -20,21 +21,39 @@ from jaxdyna.fields import check, setting
 from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.replay import ring
 from jaxdyna.replay.ring import Replay
-from jaxdyna.types import Agent, Key, Transition
+from jaxdyna.types import Agent, Key, Transition, check_transitions
 
 Loss = Callable[[jax.Array, jax.Array], jax.Array]
 """``(outputs [A], action) -> loss`` of one imitated action, a scalar."""
 
 
 def cross_entropy_loss(outputs: jax.Array, action: jax.Array) -> jax.Array:
-    """``-log pi(action)`` of a policy's log odds (Pomerleau 1991)."""
+    """``-log pi(action)`` (Pomerleau 1991).
+
+    Args:
+        outputs: a policy's log odds, ``[A]``.
+        action: the shown one, int scalar.
+
+    Returns:
+        A scalar, in nats.
+    """
+    chex.assert_rank([outputs, action], [1, 0])
     return -jax.nn.log_softmax(outputs)[action]
 
 
 def margin_loss(outputs: jax.Array, action: jax.Array, margin: float = 0.8) -> jax.Array:
-    """``max_a (Q(a) + margin [a is not the shown one]) - Q(shown)``, for values of actions (DQfD,
-    Hester et al. 2018, their J_E): the shown action has to be the best by a margin.
+    """``max_a (Q(a) + margin [a is not the shown one]) - Q(shown)`` (DQfD, Hester et al. 2018,
+    their J_E): the shown action has to be the best by a margin.
+
+    Args:
+        outputs: values of actions, ``[A]``.
+        action: the shown one, int scalar.
+        margin: in the values' unit.
+
+    Returns:
+        A scalar, in the values' unit.
     """
+    chex.assert_rank([outputs, action], [1, 0])
     ahead = outputs + margin * (jnp.arange(outputs.shape[-1]) != action)
     return ahead.max() - outputs[action]
 
@@ -134,6 +153,7 @@ def cloning(
         return params, losses.mean()
 
     def update_expert(state: CloningState, transitions: Transition, key: Key, hparams: Any):
+        check_transitions(transitions, 2)
         key_own, key_imitate = jax.random.split(key)
         seen = transitions.weights > 0
         items = (transitions.obs, transitions.action.astype(state.shown.data[1].dtype))

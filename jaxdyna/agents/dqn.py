@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +24,7 @@ from jaxdyna.replay import prioritized
 from jaxdyna.replay.frames import FrameReplay
 from jaxdyna.replay.n_step import Window, take_window
 from jaxdyna.replay.prioritized import Prioritized
-from jaxdyna.types import Agent, Key, Transition
+from jaxdyna.types import Agent, Key, Transition, check_transitions
 
 Values = Callable[[Any, jax.Array], jax.Array]
 Learned = tuple["DQNState", dict[str, jax.Array]]
@@ -110,6 +111,7 @@ def dqn(
     def explore(
         state: DQNState, obs: jax.Array, key: Key, epsilon: jax.Array, odds: jax.Array
     ) -> jax.Array:
+        chex.assert_rank(obs, len(obs_shape))
         key_which, key_action = jax.random.split(key)
         exploratory = jax.random.categorical(key_action, odds)
         best = jnp.argmax(values(acting(state), obs[None])[0])
@@ -143,6 +145,7 @@ def dqn(
 
     def update(state: DQNState, transitions: Transition, key: Key, hparams: DQNHParams):
         """Stores the episodes, then `DQNConfig.updates` gradient steps."""
+        check_transitions(transitions, 2)
 
         def work():
             real = prioritized.add(state.real, _weighted(transitions))
@@ -157,6 +160,7 @@ def dqn(
 
     def update_fake(state: DQNState, transitions: Transition, key: Key, hparams: DQNHParams):
         """The same with dreams."""
+        check_transitions(transitions, 2)
 
         def work():
             fake = prioritized.add(state.fake, _weighted(transitions))

@@ -47,7 +47,7 @@ def count(
 
 
 def epsilon(state: Exploration, hparams: DQNHParams) -> jax.Array:
-    """The share of exploratory actions."""
+    """The share of exploratory actions, a scalar in [0, 1]."""
     falling = (state.episodes - hparams.epsilon_hold) / jnp.maximum(hparams.epsilon_episodes, 1e-6)
     gone = jnp.clip(falling, 0, 1)
     return hparams.epsilon_first + gone * (hparams.epsilon_last - hparams.epsilon_first)

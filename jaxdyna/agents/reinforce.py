@@ -15,24 +15,33 @@ from jaxdyna.fields import check, setting
 from jaxdyna.losses import discounted_returns, policy_gradient, standardise
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, optimizer_setting
-from jaxdyna.types import Agent, Key, Transition
+from jaxdyna.types import Agent, Key, Transition, check_transitions
 
 
 def no_baseline(returns: jax.Array, valid: jax.Array) -> jax.Array:
-    """The returns ``[N, T]`` themselves. Right where a reward comes at the end alone: standardised
-    within its episode, a lost game is as good as a won one. Adam forgets their scale.
+    """The returns themselves. Right where a reward comes at the end alone: standardised within its
+    episode, a lost game is as good as a won one. Adam forgets their scale.
+
+    Args:
+        returns: of each step on, ``[N, T]``.
+        valid: bool ``[N, T]``, which steps there are.
+
+    Returns:
+        Advantages ``[N, T]``, 0 where not valid.
     """
     return jnp.where(valid, returns, 0)
 
 
 def within_episode(returns: jax.Array, valid: jax.Array) -> jax.Array:
-    """Returns standardised within each episode, ``[N, T]``, as the paper's authors do."""
+    """Returns standardised within each episode, as the paper's authors do; shapes as in
+    `no_baseline`.
+    """
     return jax.vmap(standardise)(returns, valid)
 
 
 def over_batch(returns: jax.Array, valid: jax.Array) -> jax.Array:
     """Returns standardised over all steps of all episodes: the better episodes stand out from the
-    worse. With a single episode the same as `within_episode`.
+    worse. With a single episode the same as `within_episode`. Shapes as in `no_baseline`.
     """
     return standardise(returns, valid)
 
@@ -40,7 +49,7 @@ def over_batch(returns: jax.Array, valid: jax.Array) -> jax.Array:
 def per_step(returns: jax.Array, valid: jax.Array) -> jax.Array:
     """Returns less the mean, at the same step, of the episodes that got there, then scaled to unit
     standard deviation: episodes that all last to the end leave the policy alone. A single episode
-    has nothing to be compared with and falls back on `within_episode`.
+    has nothing to be compared with and falls back on `within_episode`. Shapes as in `no_baseline`.
     """
     if returns.shape[0] == 1:
         return within_episode(returns, valid)
@@ -90,7 +99,7 @@ class ReinforceState:
 def policy_logits(
     num_actions: int, config: ReinforceConfig
 ) -> Callable[[Any, jax.Array], jax.Array]:
-    """``(params, obs) -> [A]``: the log odds that an agent of `reinforce` acts by."""
+    """``(params, obs [*obs]) -> [A]``: the log odds that an agent of `reinforce` acts by."""
     network = MLP((*config.hidden, num_actions))
 
     def logits(params: Any, obs: jax.Array) -> jax.Array:
@@ -132,6 +141,7 @@ def reinforce(
         the step itself: data of weight 0.5 moves the policy half as far.
         """
         del key
+        check_transitions(transitions, 2)
         transitions, weight = transitions.blanked(), transitions.weights
         valid = weight > 0
         returns = jax.vmap(discounted_returns, (0, None))(

@@ -112,7 +112,17 @@ def first_state(params: PongParams) -> PongState:
 
 
 def advance(key: Key, state: PongState, action: jax.Array, params: PongParams) -> PongState:
-    """One frame of the game; ``time`` is left to the caller."""
+    """One frame of the game.
+
+    Args:
+        key: random key.
+        state: before it.
+        action: int scalar in [0, 6).
+        params: the game's.
+
+    Returns:
+        The state after it; ``time`` is left to the caller.
+    """
     key_sticky, key_serve = jax.random.split(key)
     sticky = jax.random.bernoulli(key_sticky, params.repeat_action_probability)
     action = jnp.where(sticky, state.last_action, action)

@@ -64,7 +64,15 @@ class ObjectMasks(NamedTuple):
 
 
 def field_masks(state: PongState, scale: int) -> ObjectMasks:
-    """Which pixels of the field, each ``scale`` of the game's a side, an object touches."""
+    """Which pixels of the field an object touches.
+
+    Args:
+        state: the game's.
+        scale: the game's pixels a side of one.
+
+    Returns:
+        Bool ``[160 / scale, 160 / scale]`` each.
+    """
     first = scale * jnp.arange(FIELD // scale)
 
     def covered(start, length):
@@ -107,8 +115,8 @@ def masks_by_colour(screen: jax.Array, scale: int, palette: Palette) -> ObjectMa
 
 
 def paint(frame: jax.Array, masks: ObjectMasks, palette: Palette) -> jax.Array:
-    """The objects in their colours on a frame, uint8 ``[..., height, width, 3]``; the ball in
-    front.
+    """The objects, bool ``[..., height, width]`` each, in their colours on a frame, uint8 ``[...,
+    height, width, 3]``; the ball in front.
     """
     for name in ("opponent", "own", "ball"):
         colour = jnp.array(getattr(palette, name), jnp.uint8)
@@ -117,7 +125,7 @@ def paint(frame: jax.Array, masks: ObjectMasks, palette: Palette) -> jax.Array:
 
 
 def blank(shape: tuple[int, ...], palette: Palette) -> jax.Array:
-    """Nothing but background, uint8 ``shape``."""
+    """Nothing but background, uint8 ``shape``, which ends in 3."""
     return jnp.broadcast_to(jnp.array(palette.background, jnp.uint8), shape)
 
 
@@ -146,14 +154,16 @@ def shares_of(frame: jax.Array, palette: Palette) -> jax.Array:
 
 def picture_of(masks: jax.Array, palette: Palette) -> jax.Array:
     """The frame of the field with these objects, bool ``[..., H, W, 3]`` as `shares_of`; the ball
-    in front: uint8.
+    in front: uint8, the same shape.
     """
     opponent, own, ball = jnp.moveaxis(masks, -1, 0)
     return paint(blank(masks.shape, palette), ObjectMasks(ball, own, opponent), palette)
 
 
 def mixture_of(shares: jax.Array, palette: Palette) -> jax.Array:
-    """A picture of so much of each object in a pixel, as `shares_of`: 0 to 255."""
+    """A picture of so much of each object in a pixel, ``[..., H, W, 3]`` as `shares_of`: float32, 0
+    to 255, the same shape.
+    """
     ground = jnp.array(palette.background, jnp.float32)
     towards = jnp.array(_in_order(palette), jnp.float32) - ground
     return jnp.clip(ground + shares.astype(jnp.float32) @ towards, 0, 255)

@@ -55,7 +55,7 @@ class LearnedState:
 def threshold_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
     """Terminates where the predicted probability exceeds `DreamHParams.termination_threshold`, and
     where the model is more uncertain than ``uncertainty_threshold``: what is not known is as bad as
-    the end (the pessimism of MOReL, Kidambi et al. 2020).
+    the end (the pessimism of MOReL, Kidambi et al. 2020). A bool scalar, as of every rule here.
     """
     del key
     ends = prediction.terminated > params.hparams.termination_threshold

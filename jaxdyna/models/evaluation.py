@@ -32,14 +32,16 @@ def one_step(predict: Predict, params: Any, transitions: Transition, key: Key) -
     return jax.vmap(over_time, (None, 0, 0, 0))(params, transitions.obs, transitions.action, keys)
 
 
-def open_loop(predict: Predict, params: Any, obs: jax.Array, action: jax.Array, key: Key):
+def open_loop(
+    predict: Predict, params: Any, obs: jax.Array, action: jax.Array, key: Key
+) -> Prediction:
     """Predictions fed back as the next input, under given actions.
 
     Args:
         predict: a model's.
         params: its parameters.
         obs: where it starts, ``[*obs]``.
-        action: ``[T]``.
+        action: int ``[T]``.
         key: random key.
 
     Returns:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -26,7 +27,7 @@ from jaxdyna.networks.objects import (
     rectangles_of,
 )
 from jaxdyna.optimizers import Optimizer, optimizer_setting
-from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
+from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,7 @@ def rectangles(
         return RectangleState(variables, optimizer.init(variables["params"]))
 
     def predict(params: Any, obs: jax.Array, action: jax.Array, key: Key) -> Prediction:
+        chex.assert_rank([obs, action], [3, 0])
         past = rectangles_of(obs[None], channels)
         one_hot = jax.nn.one_hot(action[None], num_actions)
         settle = _drawing(key) if config.draws else _likeliest
@@ -122,8 +124,8 @@ def rectangles(
 def rectangle_probability(
     frame_shape: tuple[int, int, int], num_actions: int, config: RectangleConfig
 ) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
-    """What a model of `rectangles` believes of each pixel, the things of earlier groups taken to be
-    where they are likeliest.
+    """What a model of `rectangles` with these arguments believes of each pixel, the things of
+    earlier groups taken to be where they are likeliest.
 
     Returns:
         ``(params, obs [N, H, W, C * frames], action [N]) -> [N, H, W, C]`` in [0, 1].
@@ -163,6 +165,7 @@ def _learner(
         state: RectangleState, transitions: Transition, key: Key, hparams: Any
     ) -> tuple[RectangleState, dict[str, jax.Array]]:
         """One gradient step; ``metrics`` are the mean losses of a transition."""
+        check_transitions(transitions)
         lead, channels = transitions.mask.ndim, len(sum(config.groups, ()))
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[lead:]), transitions)
         batch, weight = batch.blanked(), batch.weights
@@ -201,8 +204,14 @@ def _learner(
 
 
 def surprise(odds: EdgeOdds, truth: Rectangles) -> jax.Array:
-    """The cross-entropy of each thing ``[N, C]``: whether it is there and, where it is, of its four
-    edges.
+    """The cross-entropy of each thing: whether it is there and, where it is, of its four edges.
+
+    Args:
+        odds: what is believed, ``[N, C]``.
+        truth: what there is, ``[N, C]``.
+
+    Returns:
+        ``[N, C]``, in nats.
     """
     places = jnp.concatenate(
         [-_at(odds.rows, truth.edge[..., :2]), -_at(odds.columns, truth.edge[..., 2:])], axis=-1

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -16,7 +17,7 @@ from jaxdyna.losses import PixelLoss, bce, l1, l2
 from jaxdyna.models.adversarial import Adversary, gan_adam
 from jaxdyna.networks import FrameModel, LocalDynamics, LocalReward
 from jaxdyna.optimizers import Optimizer, optimizer_setting
-from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
+from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions
 
 
 @struct.dataclass
@@ -119,6 +120,7 @@ def pixels(
         return PixelState(variables, opt_state, other)
 
     def predict(params: Any, obs: jax.Array, action: jax.Array, key: Key) -> Prediction:
+        chex.assert_rank([obs, action], [3, 0])
         stack, one_hot = _scale(obs[None]), jax.nn.one_hot(action[None], num_actions)
         raw, features = module.apply(params, stack, one_hot, method="frame")
         believed = config.loss.probability(raw)
@@ -154,6 +156,7 @@ def _learner(
     ) -> tuple[PixelState, dict[str, jax.Array]]:
         """One gradient step; ``metrics`` are the mean losses of a transition."""
         del key
+        check_transitions(transitions)
         lead = transitions.mask.ndim
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[lead:]), transitions)
         batch, weight = batch.blanked(), batch.weights
@@ -202,6 +205,7 @@ def _losses(
     config: PixelConfig, raw: jax.Array, outcome: list[jax.Array], truth: jax.Array, batch: Any
 ) -> dict[str, jax.Array]:
     """What each transition ``[N]`` is wrong by: its frame, and what the heads say."""
+    chex.assert_equal_shape([raw, truth])
     reward, charge, end_logit = outcome
     parts = {"frame_loss": config.loss.error(raw, truth).sum((1, 2, 3))}
     if config.reward is not None:
@@ -225,7 +229,7 @@ def _weigh(
 def frame_probability(
     num_actions: int, config: PixelConfig
 ) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
-    """What a model of `pixels` believes before any threshold.
+    """What a model of `pixels` with these arguments believes before any threshold.
 
     Returns:
         ``(params, obs [N, H, W, C * frames], action [N]) -> [N, H, W, C]`` in [0, 1].

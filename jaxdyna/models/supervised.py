@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
@@ -14,7 +15,7 @@ from jaxdyna.fields import check, setting
 from jaxdyna.losses import transition_loss
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, optimizer_setting
-from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
+from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions
 
 
 @struct.dataclass
@@ -148,6 +149,7 @@ def supervised(
     def predict(
         params: SupervisedParams, obs: jax.Array, action: jax.Array, key: Key
     ) -> Prediction:
+        chex.assert_shape([obs, action], [(obs_size,), ()])
         scaled, reward, logit = jax.vmap(member, (0, None, None, None))(
             params.network, params, obs, action
         )
@@ -163,9 +165,11 @@ def supervised(
     def update(
         state: SupervisedState, transitions: Transition, key: Key, hparams: SupervisedHParams
     ) -> tuple[SupervisedState, dict[str, jax.Array]]:
+        check_transitions(transitions)
         lead = transitions.mask.ndim
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[lead:]), transitions)
         batch, weight = batch.blanked(), batch.weights
+        chex.assert_shape([batch.obs, batch.next_obs], (None, obs_size))
         target = raw_target(batch.obs, batch.next_obs)
         params = state.params
         if config.normalise:

@@ -125,13 +125,20 @@ def change(now: Rectangles, then: Rectangles, told: Resolution) -> jax.Array:
 
 
 def near(x: jax.Array, first: int, last: int) -> jax.Array:
-    """`tiles` of what lies between ``first`` and ``last``; of anything beyond, nothing."""
+    """As `tiles`, of what lies between ``first`` and ``last``; of anything beyond, zeros."""
     return tiles(jnp.clip(x, first - 1, last + 1), first, last)
 
 
 def tiles(x: jax.Array, first: int, last: int) -> jax.Array:
-    """``[..., last - first + 1]``: 1 at the whole number that ``x`` is, or shared by its
-    neighbours.
+    """Whole numbers, one by one: 1 at the one that ``x`` is, or shared by its neighbours.
+
+    Args:
+        x: ``[...]``.
+        first: the least whole number.
+        last: the greatest.
+
+    Returns:
+        ``[..., last - first + 1]``.
     """
     return nn.relu(1 - jnp.abs(x[..., None] - jnp.arange(first, last + 1, dtype=x.dtype)))
 

@@ -18,7 +18,7 @@ def to_patches(picture: jax.Array, size: int) -> jax.Array:
 
 
 def from_patches(patches: jax.Array, size: int) -> jax.Array:
-    """The way back."""
+    """The way back, from ``[..., h, w, size * size * C]`` to ``[..., h * size, w * size, C]``."""
     *lead, rows, columns, depth = patches.shape
     channels = depth // size**2
     x = jnp.swapaxes(patches.reshape(*lead, rows, columns, size, size, channels), -4, -3)

@@ -95,7 +95,9 @@ class PerceptronQ(nn.Module):
 
 
 def normalised(x: jax.Array, hidden: tuple[int, ...]) -> jax.Array:
-    """Dense layers of these widths on ``[N, n]``, each normalised; within a module's call."""
+    """Dense layers of these widths, each normalised, from ``[N, n]`` to ``[N, hidden[-1]]``; within
+    a module's call.
+    """
     for features in hidden:
         x = nn.relu(nn.LayerNorm()(nn.Dense(features)(x)))
     return x

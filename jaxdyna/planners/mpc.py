@@ -85,8 +85,21 @@ def score(
     discount: float = 1.0,
     value: Value | None = None,
 ) -> jax.Array:
-    """The return of a sequence of actions ``[H]``, a scalar: the discounted rewards up to the end
-    of the episode and ``value`` of where it is left, unless the world has ended there.
+    """The return of a sequence of actions: the discounted rewards up to the end of the episode and
+    ``value`` of where it is left, unless the world has ended there.
+
+    Args:
+        env: the world, true or learned.
+        env_params: its parameters.
+        obs: what is seen first, ``[*obs]``.
+        state: the world's state that is seen so.
+        actions: int ``[H]``.
+        key: random key.
+        discount: scalar in [0, 1].
+        value: of where it is left; None: 0.
+
+    Returns:
+        A scalar.
     """
     key_steps, key_value = jax.random.split(key)
 

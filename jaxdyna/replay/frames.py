@@ -14,12 +14,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import chex
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 from jaxdyna.replay.ring import draw
-from jaxdyna.types import Key, Transition
+from jaxdyna.types import Key, Transition, check_transitions
 
 
 @struct.dataclass
@@ -146,8 +147,11 @@ def add(replay: FrameReplay, episodes: Transition, beside: Any = ()) -> FrameRep
     An episode lasts up to where its mask is true for the last time.
 
     Raises:
+        AssertionError: where they are no such episodes.
         ValueError: where more could come at once than the buffer holds.
     """
+    check_transitions(episodes, 2)
+    chex.assert_tree_shape_prefix(beside, episodes.mask.shape)
     count, steps = episodes.mask.shape
     if count * steps > replay.capacity or count > replay.last_frame.shape[0]:
         raise ValueError(

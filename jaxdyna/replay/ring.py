@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import chex
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -64,8 +65,11 @@ def add(replay: Replay, items: PyTree, mask: jax.Array) -> Replay:
         mask: bool, any shape.
 
     Raises:
+        AssertionError: where items and mask differ in these axes, or the mask is not bool.
         ValueError: where more items than ``capacity`` could come at once.
     """
+    chex.assert_type(mask, bool)
+    chex.assert_tree_shape_prefix(items, mask.shape)
     if mask.size > replay.capacity:
         raise ValueError(
             f"{mask.size} items at once do not fit a replay of {replay.capacity}: "
