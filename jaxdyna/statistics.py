@@ -174,9 +174,7 @@ def median_interval(values: np.ndarray) -> list[float | None] | None:
 
 
 def bootstrap_interval(
-    values: np.ndarray,
-    statistic: Callable[[np.ndarray], np.ndarray],
-    resamples: int = 5000,
+    values: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], resamples: int = 5000
 ) -> list[float | None]:
     """A 95% percentile-bootstrap interval over seeds, the same on every call.
 

@@ -46,9 +46,7 @@ ORACLE = Dyna(ENV, AGENT, dream=Dream(ENV, lambda state, hparams: hparams.env))
 def hparams(**changes):
     """Default hyper-parameters of a run."""
     return DynaHParams(
-        ReinforceHParams(),
-        SupervisedHParams(),
-        ENV.default_params.replace(max_steps=20),
+        ReinforceHParams(), SupervisedHParams(), ENV.default_params.replace(max_steps=20)
     ).replace(**changes)
 
 

@@ -78,7 +78,7 @@ DECIDED = {
 pattern of the path, and why."""
 
 ARRAYS: dict[str, str | None] = {
-    "judged_error": None,  # in results.json, out of the curve that it is a mean of
+    "judged_error": None  # in results.json, out of the curve that it is a mean of
 }
 """In ``curves.npz``; None: no longer kept."""
 

@@ -11,13 +11,7 @@ from parts import assert_same
 from jaxdyna.agents import DQNConfig, DQNHParams, dqn, real_memory
 from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, make_train
 from jaxdyna.envs import FrameStack, Maze, MazeParams
-from jaxdyna.models import (
-    LearnedEnvironment,
-    LearnedParams,
-    PixelConfig,
-    PixelHParams,
-    pixels,
-)
+from jaxdyna.models import LearnedEnvironment, LearnedParams, PixelConfig, PixelHParams, pixels
 from jaxdyna.networks import GlimpseQ, LocalDynamics
 from jaxdyna.planners import solve_maze
 from jaxdyna.replay import frames as frame_replay

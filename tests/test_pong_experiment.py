@@ -19,14 +19,7 @@ from jaxdyna.experiments.pong.arms import arms, points
 from jaxdyna.experiments.pong.data import choose, collect, play, screens, states, take
 from jaxdyna.experiments.pong.guided import Guided, GuidedParams
 from jaxdyna.experiments.pong.options import TUNED
-from jaxdyna.experiments.pong.world import (
-    OBJECTS,
-    RULES,
-    game_of,
-    in_channels,
-    in_colours,
-    middles,
-)
+from jaxdyna.experiments.pong.world import OBJECTS, RULES, game_of, in_channels, in_colours, middles
 from jaxdyna.experiments.report.sections import equal_episodes
 from jaxdyna.experiments.report.summaries import comparisons
 from jaxdyna.experiments.study.frames import draw_state

@@ -63,16 +63,12 @@ class CloningConfig:
     """What decides the program."""
 
     updates: int = setting(
-        200,
-        "Gradient steps after each shown episode, on all that was shown so far.",
-        at_least=1,
+        200, "Gradient steps after each shown episode, on all that was shown so far.", at_least=1
     )
     batch: int = setting(64, "Shown transitions in each.", at_least=1, at_most=1_000_000)
     capacity: int = setting(4000, "Shown transitions kept.", at_least=1)
     learning_rate: float = setting(
-        1e-2,
-        "Learning rate of the optimiser, which starts anew after each shown episode.",
-        above=0,
+        1e-2, "Learning rate of the optimiser, which starts anew after each shown episode.", above=0
     )
     loss: Loss = setting(
         cross_entropy_loss,

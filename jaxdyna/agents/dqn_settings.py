@@ -59,10 +59,7 @@ class DQNHParams:
         at_most=1,
     )
     importance_exponent: float = setting(
-        0.4,
-        "How far the loss makes up for that: 0 not at all, 1 wholly.",
-        at_least=0,
-        at_most=1,
+        0.4, "How far the loss makes up for that: 0 not at all, 1 wholly.", at_least=0, at_most=1
     )
     reward_scale: float = setting(
         1.0, "Times every reward; it decides where Huber's loss turns linear.", above=0

@@ -82,9 +82,7 @@ class DynaHParams:
         True, "False computes the model's updates and discards them (the placebo)."
     )
     real_weight: float = setting(
-        1.0,
-        "Weight of real transitions in the policy's update once dreams have begun.",
-        at_least=0,
+        1.0, "Weight of real transitions in the policy's update once dreams have begun.", at_least=0
     )
     fake_weight: float = setting(
         1.0,

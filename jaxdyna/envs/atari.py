@@ -70,8 +70,7 @@ class AtariPong:
         at_least=1,
     )
     palette: Palette = setting(
-        CHANNELS,
-        "The colours of a smaller frame; objects are told by their colours on the screen.",
+        CHANNELS, "The colours of a smaller frame; objects are told by their colours on the screen."
     )
 
     def __post_init__(self) -> None:

@@ -10,14 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.envs.gymnasium import spaces
-from jaxdyna.envs.pong_rules import (
-    FIELD,
-    NUM_ACTIONS,
-    PongParams,
-    PongState,
-    advance,
-    first_state,
-)
+from jaxdyna.envs.pong_rules import FIELD, NUM_ACTIONS, PongParams, PongState, advance, first_state
 from jaxdyna.envs.pong_screen import (
     ABOVE,
     BELOW,

@@ -52,9 +52,7 @@ class PongParams:
         8, "The opponent stands still in one frame of so many.", at_least=1
     )
     paddle_speed: float = setting(
-        5.8,
-        "Pixels a frame that the player moves where the own paddle is to go.",
-        at_least=0,
+        5.8, "Pixels a frame that the player moves where the own paddle is to go.", at_least=0
     )
     repeat_action_probability: float = setting(
         0.0,

@@ -8,14 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.envs.pong_rules import (
-    BALL,
-    FIELD,
-    OPPONENT_COLUMN,
-    OWN_COLUMN,
-    PADDLE,
-    PongState,
-)
+from jaxdyna.envs.pong_rules import BALL, FIELD, OPPONENT_COLUMN, OWN_COLUMN, PADDLE, PongState
 
 ABOVE, BELOW, WALL = 34, 16, 10
 """Rows of the whole screen above and below the field, and of the upper wall, which touches it."""

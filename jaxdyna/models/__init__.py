@@ -25,13 +25,7 @@ from jaxdyna.models.objects import (
     rectangle_probability,
     rectangles,
 )
-from jaxdyna.models.pixels import (
-    PixelConfig,
-    PixelHParams,
-    PixelState,
-    frame_probability,
-    pixels,
-)
+from jaxdyna.models.pixels import PixelConfig, PixelHParams, PixelState, frame_probability, pixels
 from jaxdyna.models.supervised import (
     SupervisedConfig,
     SupervisedHParams,

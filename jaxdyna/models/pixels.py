@@ -59,8 +59,7 @@ class PixelConfig:
     )
     optimizer: Optimizer = optimizer_setting(optax.adam, gan_adam=gan_adam)
     shades: bool = setting(
-        False,
-        "Pixels keep what is believed of them, as a shade; the threshold does not count.",
+        False, "Pixels keep what is believed of them, as a shade; the threshold does not count."
     )
 
     def __post_init__(self) -> None:

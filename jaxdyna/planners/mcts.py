@@ -33,9 +33,7 @@ class SearchConfig:
         at_least=1,
     )
     gumbel_scale: float = setting(
-        0.0,
-        "Scale of that noise; 0 looks at the likeliest and decides for the best.",
-        at_least=0,
+        0.0, "Scale of that noise; 0 looks at the likeliest and decides for the best.", at_least=0
     )
     dirichlet_fraction: float = setting(
         0.0, "Share of noise in the prior at the root of muzero.", at_least=0, at_most=1
