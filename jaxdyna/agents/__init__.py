@@ -12,18 +12,7 @@ from jaxdyna.agents.reinforce import (
 )
 
 __all__ = [
-    "CloningConfig",
-    "CloningState",
-    "DQNConfig",
-    "DQNHParams",
-    "DQNState",
-    "ReinforceConfig",
-    "ReinforceHParams",
-    "ReinforceState",
-    "cloning",
-    "dqn",
-    "policy_logits",
-    "q_values",
-    "real_memory",
-    "reinforce",
-]
+    "CloningConfig", "CloningState", "DQNConfig", "DQNHParams", "DQNState", "ReinforceConfig",
+    "ReinforceHParams", "ReinforceState", "cloning", "dqn", "policy_logits", "q_values",
+    "real_memory", "reinforce",
+]  # fmt: skip

@@ -13,19 +13,6 @@ from jaxdyna.dyna.loop import (
 from jaxdyna.dyna.parts import Dream, Dyna, DynaState, Expert, Metrics, survived
 
 __all__ = [
-    "Dream",
-    "Dyna",
-    "DynaConfig",
-    "DynaHParams",
-    "DynaState",
-    "Expert",
-    "Metrics",
-    "make_advance",
-    "make_init",
-    "make_step",
-    "make_train",
-    "play_dreams",
-    "play_real",
-    "survived",
-    "train_model",
-]
+    "Dream", "Dyna", "DynaConfig", "DynaHParams", "DynaState", "Expert", "Metrics", "make_advance",
+    "make_init", "make_step", "make_train", "play_dreams", "play_real", "survived", "train_model",
+]  # fmt: skip

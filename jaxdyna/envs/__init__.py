@@ -11,33 +11,11 @@ from jaxdyna.envs.pong_screen import CHANNELS, ObjectMasks, Palette
 from jaxdyna.envs.wrappers import FrameStack, GreyFrames, Replayed, ReplayedParams, StackState
 
 __all__ = [
-    "CHANNELS",
-    "AtariParams",
-    "AtariPong",
-    "AtariState",
-    "CartPole",
-    "CartPoleParams",
-    "CartPoleState",
-    "Catch",
-    "CatchParams",
-    "CatchState",
-    "FrameStack",
-    "GreyFrames",
-    "HostEnv",
-    "HostVectorEnv",
-    "Maze",
-    "MazeParams",
-    "MazeState",
-    "ObjectMasks",
-    "Palette",
-    "Pong",
-    "PongParams",
-    "PongState",
-    "Replayed",
-    "ReplayedParams",
-    "StackState",
-    "register",
-]
+    "CHANNELS", "AtariParams", "AtariPong", "AtariState", "CartPole", "CartPoleParams",
+    "CartPoleState", "Catch", "CatchParams", "CatchState", "FrameStack", "GreyFrames", "HostEnv",
+    "HostVectorEnv", "Maze", "MazeParams", "MazeState", "ObjectMasks", "Palette", "Pong",
+    "PongParams", "PongState", "Replayed", "ReplayedParams", "StackState", "register",
+]  # fmt: skip
 
 register("jaxdyna/CartPole-v0", CartPole(), CartPoleParams(max_steps=200), reward_threshold=195.0)
 register("jaxdyna/CartPole-v1", CartPole(), CartPoleParams(max_steps=500), reward_threshold=475.0)

@@ -20,23 +20,8 @@ from jaxdyna.networks.q_networks import (
 )
 
 __all__ = [
-    "MLP",
-    "Convolution",
-    "ConvolutionalQ",
-    "Discriminator",
-    "EncoderDecoder",
-    "FeaturePointQ",
-    "FrameModel",
-    "GlimpseQ",
-    "JointReward",
-    "LocalDynamics",
-    "LocalReward",
-    "Patched",
-    "PerceptronQ",
-    "RectangleDynamics",
-    "Resolution",
-    "SignedReward",
-    "from_patches",
-    "glimpses",
+    "MLP", "Convolution", "ConvolutionalQ", "Discriminator", "EncoderDecoder", "FeaturePointQ",
+    "FrameModel", "GlimpseQ", "JointReward", "LocalDynamics", "LocalReward", "Patched",
+    "PerceptronQ", "RectangleDynamics", "Resolution", "SignedReward", "from_patches", "glimpses",
     "to_patches",
-]
+]  # fmt: skip
