@@ -1,4 +1,4 @@
-"""Seeds x hyper-parameters in one jitted call, whole or in resumable pieces, on every device."""
+"""Seeds x hyper-parameters in one jitted call, on every device."""
 
 from __future__ import annotations
 
@@ -20,8 +20,6 @@ RUNS = "runs"
 """Name of the axis of `over_runs`."""
 
 DEVICES = "devices"
-_BY_SEED = PartitionSpec(None, DEVICES)
-_SHARED = PartitionSpec()
 
 
 def sweep(
@@ -53,46 +51,20 @@ def sweep(
 def _sweep(train, keys, hparams, settings, block):
     def share(keys, hparams):
         def setting(hparams):
-            return _over_seeds(lambda key: train(key, hparams), block)(keys)
+            return _over_seeds(lambda key: train(key, hparams), keys, block)
 
         return _named_vmap(setting, (_axes(hparams),), settings, AXES[0])(hparams)
 
-    return _over_devices(share, keys.shape[0], (PartitionSpec(DEVICES), _SHARED))(keys, hparams)
-
-
-def make_pieces(
-    init: Callable, advance: Callable, block: int | None = None
-) -> tuple[Callable, Callable]:
-    """The same sweep in pieces, for progress, checkpoints and early stops between them.
-
-    Args:
-        init: ``(key, hparams) -> state``.
-        advance: ``(state, episodes, hparams) -> (state, metrics)``.
-        block: see `sweep`.
-
-    Returns:
-        ``start(keys, hparams) -> state`` and ``proceed(state, episodes, hparams) -> (state,
-        metrics)``, both jitted, with leading axes ``[settings, seeds]`` on state and metrics.
-        ``proceed`` reuses the memory of the state it is given.
-    """
-
-    def start(keys, hparams):
-        return sweep(init, keys, hparams, block)
-
-    @partial(jax.jit, donate_argnums=0)
-    def proceed(state, episodes, hparams):
-        def share(state, episodes, hparams):
-            def setting(state, hparams):
-                return _over_seeds(lambda one: advance(one, episodes, hparams), block)(state)
-
-            settings = jax.tree.leaves(state)[0].shape[0]
-            return _named_vmap(setting, (0, _axes(hparams)), settings, AXES[0])(state, hparams)
-
-        seeds = jax.tree.leaves(state)[0].shape[1]
-        spread = _over_devices(share, seeds, (_BY_SEED, _SHARED, _SHARED))
-        return spread(state, episodes, hparams)
-
-    return start, proceed
+    devices = jax.devices()
+    count = max(n for n in range(1, len(devices) + 1) if len(keys) % n == 0)
+    if count == 1:
+        return share(keys, hparams)
+    mesh = Mesh(np.array(devices[:count]), (DEVICES,))
+    by_seed, shared = PartitionSpec(DEVICES), PartitionSpec()
+    return jax.shard_map(
+        share, mesh=mesh, in_specs=(by_seed, shared), out_specs=PartitionSpec(None, DEVICES),
+        check_vma=False,
+    )(keys, hparams)  # fmt: skip
 
 
 def over_runs(function: Callable[..., PyTree], size: int) -> Callable[..., PyTree]:
@@ -106,37 +78,20 @@ def over_runs(function: Callable[..., PyTree], size: int) -> Callable[..., PyTre
     return together
 
 
-def _over_devices(share: Callable[..., PyTree], seeds: int, specs: tuple) -> Callable[..., PyTree]:
-    """``share``, which works on any number of seeds, with its seeds dealt out to the devices."""
-    devices = jax.devices()
-    count = max(n for n in range(1, len(devices) + 1) if seeds % n == 0)
-    if count == 1:
-        return share
-    mesh = Mesh(np.array(devices[:count]), (DEVICES,))
-    return jax.shard_map(share, mesh=mesh, in_specs=specs, out_specs=_BY_SEED, check_vma=False)
+def _over_seeds(function: Callable[[Key], PyTree], keys: Key, block: int | None) -> PyTree:
+    """``function`` over the keys, at most ``block`` of them at once."""
 
+    def at_once(keys):
+        return _named_vmap(function, (0,), len(keys), AXES[1])(keys)
 
-def _over_seeds(function: Callable[[Any], PyTree], block: int | None) -> Callable[[Any], PyTree]:
-    """``function`` over the leading axis of its argument, at most ``block`` seeds at once."""
-
-    def at_once(argument):
-        return _named_vmap(function, (0,), jax.tree.leaves(argument)[0].shape[0], AXES[1])(argument)
-
-    def in_blocks(argument):
-        seeds = jax.tree.leaves(argument)[0].shape[0]
-        if block is None or block >= seeds:
-            return at_once(argument)
-        if seeds % block == 0:  # no copy of what may be large
-            apart = jax.tree.map(lambda leaf: leaf.reshape(-1, block, *leaf.shape[1:]), argument)
-            results = jax.lax.map(at_once, apart)
-            return jax.tree.map(lambda x: x.reshape(seeds, *x.shape[2:]), results)
-        blocks = -(-seeds // block)
-        # The last block is filled up with copies of the first seeds, which are cut off again.
-        rows = (jnp.arange(blocks * block) % seeds).reshape(blocks, block)
-        results = jax.lax.map(at_once, jax.tree.map(lambda leaf: leaf[rows], argument))
-        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:seeds], results)
-
-    return in_blocks
+    seeds = len(keys)
+    if block is None or block >= seeds:
+        return at_once(keys)
+    blocks = -(-seeds // block)
+    # The last block is filled up with copies of the first seeds, which are cut off again.
+    rows = (jnp.arange(blocks * block) % seeds).reshape(blocks, block)
+    results = jax.lax.map(at_once, keys[rows])
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:seeds], results)
 
 
 def _named_vmap(function: Callable, axes: tuple, size: int, name: str) -> Callable[..., PyTree]:

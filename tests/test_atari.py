@@ -11,7 +11,7 @@ import pytest
 from parts import assert_same
 
 from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette
-from jaxdyna.envs.gymnasium import make_atari
+from jaxdyna.envs.gymnasium import check_atari
 from jaxdyna.envs.pong_screen import masks_by_colour, paint
 from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.engine.progress import Bars
@@ -30,7 +30,7 @@ def run(*argv):
 def test_without_the_extra_a_line_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "ale_py", None)
     with pytest.raises(ImportError, match=r"pip install 'jaxdyna\[atari\]'"):
-        make_atari("Pong", 1)
+        check_atari()
     with pytest.raises(ImportError, match=r"pip install 'jaxdyna\[atari\]'"):
         AtariPong()
 

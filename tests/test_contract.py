@@ -323,7 +323,7 @@ def test_model_learns_the_world(name, episodes):
     assert losses[-1] < 0.5 * losses[0]
     new = play(jax.random.key(5))
     sums = jax.jit(one_step_sums(model.predict))(state.params, new, jax.random.key(6))
-    assert sums["count"] == new.mask.sum() and sums["end_true"] == new.terminated.sum()
+    assert sums["count"] == new.mask.sum()
     target = "state" if name in ("paper", "scaled") else "change"
     explained = r_squared(
         sums["state_error"], sums[f"{target}_sum"], sums[f"{target}_square"], sums["count"]

@@ -24,7 +24,6 @@ from jaxdyna.models import (
     LearnedEnvironment,
     LearnedParams,
     probability_rule,
-    sample_rule,
     threshold_rule,
     uncertain,
 )
@@ -86,6 +85,10 @@ def test_stored_transitions_are_the_environments_own():
     truth = predict(PARAMS, episodes.obs[valid], episodes.action[valid], jax.random.key(1))
     np.testing.assert_allclose(truth.next_obs, episodes.next_obs[valid], rtol=1e-5, atol=1e-7)
     np.testing.assert_array_equal(truth.terminated > 0, episodes.terminated[valid])
+
+
+def sample_rule(prediction, params, key):
+    return jax.random.bernoulli(key, prediction.terminated)
 
 
 @pytest.mark.parametrize("rule", [threshold_rule, sample_rule])

@@ -9,9 +9,8 @@ from parts import DYNA, SMALL, assert_close, assert_same, hparams
 
 from jaxdyna import sweep
 from jaxdyna.agents import ReinforceHParams
-from jaxdyna.dyna import make_advance, make_init, make_train
+from jaxdyna.dyna import make_train
 from jaxdyna.models import DreamHParams, SupervisedHParams
-from jaxdyna.sweep import make_pieces
 
 SWEPT = {
     "fake_weight": jnp.array([0.0, 1.0, 1.0]),
@@ -92,17 +91,6 @@ def test_seeds_are_dealt_out_to_as_many_devices_as_divide_them():
 def test_nothing_swept_still_has_an_axis_for_settings():
     out = sweep(lambda key, hparams: hparams, jax.random.split(jax.random.key(0), 2), 7.0)
     np.testing.assert_array_equal(out, [[7, 7]])
-
-
-def test_pieces_are_the_whole(swept):
-    whole_state, whole = swept
-    start, proceed = make_pieces(make_init(DYNA, SMALL), make_advance(DYNA, SMALL))
-    state, parts = start(jax.random.split(jax.random.key(0), 2), hparams(**SWEPT)), []
-    for first in (0, 2, 4):
-        state, metrics = proceed(state, jnp.arange(first, first + 2), hparams(**SWEPT))
-        parts.append(metrics)
-    assert_same(state, whole_state)
-    assert_same(jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=2), *parts), whole)
 
 
 def test_clear_errors():

@@ -19,7 +19,7 @@ from gymnasium.vector.utils import batch_space
 
 from jaxdyna.types import Environment
 
-__all__ = ["HostEnv", "HostVectorEnv", "atari_emulator", "make_atari", "register", "spaces"]
+__all__ = ["HostEnv", "HostVectorEnv", "atari_emulator", "register", "spaces"]
 
 
 def register(env_id: str, env: Environment, params: Any, **spec: Any) -> None:
@@ -37,24 +37,6 @@ def register(env_id: str, env: Environment, params: Any, **spec: Any) -> None:
         vector_entry_point=f"{__name__}:HostVectorEnv",
         kwargs={"env": env, "params": params},
         **spec,
-    )
-
-
-def make_atari(game: str, num_envs: int, **settings: Any) -> VectorEnv:
-    """Copies of a real Atari game (Bellemare et al., 2013), on the host.
-
-    Args:
-        game: such as ``"Pong"``.
-        num_envs: number of copies; an ended one resets in the following step.
-        **settings: of ``ALE/*-v5``, such as ``frameskip``, ``repeat_action_probability``,
-            ``obs_type``.
-
-    Raises:
-        ImportError: without the ``atari`` extra.
-    """
-    check_atari()
-    return gymnasium.make_vec(
-        f"ALE/{game}-v5", num_envs=num_envs, vectorization_mode="sync", **settings
     )
 
 

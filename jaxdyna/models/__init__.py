@@ -14,7 +14,6 @@ from jaxdyna.models.environment import (
     LearnedState,
     never,
     probability_rule,
-    sample_rule,
     threshold_rule,
     uncertain,
     uniform_start,
@@ -39,6 +38,6 @@ __all__ = [
     "LearnedParams", "LearnedState", "PixelConfig", "PixelHParams", "PixelState", "RectangleConfig",
     "RectangleState", "SupervisedConfig", "SupervisedHParams", "SupervisedParams",
     "SupervisedState", "discriminator", "frame_probability", "gan_adam", "never", "pixels",
-    "probability_rule", "rectangle_probability", "rectangles", "sample_rule", "supervised",
+    "probability_rule", "rectangle_probability", "rectangles", "supervised",
     "threshold_rule", "uncertain", "uniform_start",
 ]  # fmt: skip

@@ -82,12 +82,6 @@ def never(prediction: Prediction, params: LearnedParams) -> jax.Array:
     return jnp.bool_(False)
 
 
-def sample_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
-    """Terminates with the predicted probability."""
-    del params
-    return jax.random.bernoulli(key, prediction.terminated)
-
-
 def uniform_start(low: float, high: float) -> Callable[[Key, Any], jax.Array]:
     """Start states whose every entry is uniform in ``[low, high)``; ``params.start`` is an array
     of the observation's shape.

@@ -65,8 +65,7 @@ def one_step_sums(predict: Predict) -> Callable[[Any, Transition, Key], dict[str
     Returns:
         ``diagnose(params, transitions [N, T], key)`` giving ``count``; ``state_error``,
         ``state_sum``, ``state_square`` (of the next state) and ``change_sum``, ``change_square``
-        (of its change), each ``[obs]``; ``reward_error`` (squared); ``end_true`` (terminations),
-        ``end_error`` (summed cross-entropy of the end, nats).
+        (of its change), each ``[obs]``.
     """
 
     def diagnose(params: Any, transitions: Transition, key: Key) -> dict[str, jax.Array]:
@@ -77,10 +76,6 @@ def one_step_sums(predict: Predict) -> Callable[[Any, Transition, Key], dict[str
         def total(values):
             return jnp.where(valid[..., None], values, 0).sum((0, 1))
 
-        reward_error = jnp.square(prediction.reward - transitions.reward)
-        end = transitions.terminated.astype(jnp.float32)
-        p = jnp.clip(prediction.terminated, 1e-6, 1 - 1e-6)
-        cross_entropy = -(end * jnp.log(p) + (1 - end) * jnp.log1p(-p))
         return {
             "count": valid.sum(dtype=jnp.float32),
             "state_error": total(jnp.square(prediction.next_obs - target)),
@@ -88,9 +83,6 @@ def one_step_sums(predict: Predict) -> Callable[[Any, Transition, Key], dict[str
             "state_square": total(jnp.square(target)),
             "change_sum": total(change),
             "change_square": total(jnp.square(change)),
-            "reward_error": jnp.where(valid, reward_error, 0).sum(),
-            "end_true": jnp.where(valid, end, 0).sum(),
-            "end_error": jnp.where(valid, cross_entropy, 0).sum(),
         }
 
     return diagnose

@@ -135,12 +135,6 @@ def init(
     )
 
 
-def bytes_per_transition(replay: FrameReplay) -> float:
-    """What a buffer, or the shapes of one, takes of memory over the transitions it holds."""
-    total = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(replay))
-    return total / replay.capacity
-
-
 def add(replay: FrameReplay, episodes: Transition, beside: Any = ()) -> FrameReplay:
     """Adds whole episodes ``[N, T]``, as `jaxdyna.rollout` returns them, one after the other, and
     what else is kept of their steps, leaves ``[N, T, ...]``; the oldest transitions held make room.

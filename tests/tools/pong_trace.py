@@ -10,11 +10,12 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.envs.gymnasium import make_atari
+from jaxdyna.envs.gymnasium import check_atari
 from jaxdyna.envs.pong_rules import (
     BALL,
     FIELD,
@@ -69,7 +70,9 @@ def record(script: Script) -> Trace:
         Int16 ``[frames]`` each: ``action`` and ``reward`` of a frame, and after it ``ball_row``
         (-48 without a ball), ``ball_column``, ``own`` and ``opponent``, in pixels of the field.
     """
-    envs = make_atari("Pong", 1, frameskip=1, repeat_action_probability=0.0, obs_type="ram")
+    check_atari()
+    how = {"frameskip": 1, "repeat_action_probability": 0.0, "obs_type": "ram"}
+    envs = gymnasium.make_vec("ALE/Pong-v5", 1, vectorization_mode="sync", **how)
     memory, _ = envs.reset(seed=0)
     rows, action = [], 0
     for frame, (offset, shaky) in enumerate(zip(*script, strict=True)):
