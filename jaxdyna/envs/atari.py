@@ -12,14 +12,14 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from jaxdyna.envs.gymnasium import atari_emulator, check_atari, spaces
+from jaxdyna.envs.gymnasium import Pictures, atari_emulator, check_atari
 from jaxdyna.envs.pong_rules import FIELD, NUM_ACTIONS
 from jaxdyna.envs.pong_screen import CHANNELS, Palette, blank, masks_by_colour, paint
 from jaxdyna.fields import SettingError, check, setting
@@ -53,7 +53,7 @@ class AtariState:
 
 
 @dataclass(frozen=True)
-class AtariPong:
+class AtariPong(Pictures):
     """The real game (Bellemare et al. 2013), without repeated actions; actions and rewards are
     those of `jaxdyna.envs.Pong`, and frames look like its own in the same palette. It needs the
     ``atari`` extra.
@@ -62,6 +62,8 @@ class AtariPong:
         ImportError: without the ``atari`` extra, with how to install it.
         ValueError: where a setting is impossible.
     """
+
+    num_actions: ClassVar = NUM_ACTIONS
 
     frame_skip: int = setting(4, "Frames a step, all with the same action.", at_least=1)
     scale: int = setting(
@@ -83,11 +85,6 @@ class AtariPong:
     def default_params(self) -> AtariParams:
         """Games to 21 points, cut after the 108,000 frames (half an hour) of the literature."""
         return AtariParams(max_steps=108_000 // self.frame_skip)
-
-    @property
-    def num_actions(self) -> int:
-        """Nothing, fire, up, down, up and fire, down and fire."""
-        return NUM_ACTIONS
 
     @property
     def frame_shape(self) -> tuple[int, int, int]:
@@ -123,16 +120,6 @@ class AtariPong:
             return screen
         below = blank(self.frame_shape, self.palette)
         return paint(below, masks_by_colour(screen, self.scale, Palette()), self.palette)
-
-    def observation_space(self, params: AtariParams) -> spaces.Box:
-        """Bytes."""
-        del params
-        return spaces.Box(0, 255, self.frame_shape, np.uint8)
-
-    def action_space(self, params: AtariParams) -> spaces.Discrete:
-        """Nothing, fire, up, down, up and fire, down and fire."""
-        del params
-        return spaces.Discrete(self.num_actions)
 
 
 def _on_host(saved: jax.Array, action: jax.Array, frames: jax.Array) -> Any:

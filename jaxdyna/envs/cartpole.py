@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from jaxdyna.envs.gymnasium import spaces
+from jaxdyna.envs.gymnasium import Discrete, spaces
 from jaxdyna.fields import setting
 from jaxdyna.types import Key
 
@@ -56,22 +56,16 @@ class CartPoleState:
 
 
 @dataclass(frozen=True)
-class CartPole:
+class CartPole(Discrete):
     """Balance a pole on a cart by pushing left (0) or right (1); every step earns 1, the last too.
 
     The observation is float32 ``[4]``: ``x, x_dot, theta, theta_dot``. Under x64 the state is
     float64 and a step agrees with Gymnasium's to the last bits.
     """
 
-    @property
-    def default_params(self) -> CartPoleParams:
-        """Gym's CartPole-v0; ``.replace(max_steps=500)`` makes it v1."""
-        return CartPoleParams()
-
-    @property
-    def num_actions(self) -> int:
-        """Left and right."""
-        return 2
+    default_params: ClassVar = CartPoleParams()
+    """Gym's CartPole-v0; ``.replace(max_steps=500)`` makes it v1."""
+    num_actions: ClassVar = 2
 
     def reset(self, key: Key, params: CartPoleParams) -> tuple[jax.Array, CartPoleState]:
         """Starts near the upright standstill: ``obs [4], state``."""
@@ -142,10 +136,6 @@ class CartPole:
             [2 * params.x_threshold, np.inf, 2 * params.theta_threshold, np.inf], np.float32
         )
         return spaces.Box(-high, high)
-
-    def action_space(self, params: CartPoleParams) -> spaces.Discrete:
-        """Left or right."""
-        return spaces.Discrete(self.num_actions)
 
 
 def _observe(state: CartPoleState) -> jax.Array:

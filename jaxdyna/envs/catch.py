@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from jaxdyna.envs.gymnasium import spaces
+from jaxdyna.envs.gymnasium import Discrete, spaces
 from jaxdyna.envs.maze import enlarge
 from jaxdyna.fields import check, setting
 from jaxdyna.types import Key
@@ -46,7 +46,7 @@ class CatchState:
 
 
 @dataclass(frozen=True)
-class Catch:
+class Catch(Discrete):
     """A ball starts in the top row and falls one row a step; the paddle starts in the middle of
     the bottom row and moves left (0), stays (1) or moves right (2), staying on the board. The
     episode terminates when the ball reaches the bottom row; only that step earns anything.
@@ -55,6 +55,8 @@ class Catch:
     the paddle. With ``frames`` it is uint8 ``[rows, columns, 3]``: red 255 at the ball, blue at
     the paddle; a shared cell lights both.
     """
+
+    num_actions: ClassVar = len(MOVES)
 
     rows: int = setting(10, "Of the board.", at_least=2)
     columns: int = setting(5, "Of the board.", at_least=1)
@@ -67,11 +69,6 @@ class Catch:
     def default_params(self) -> CatchParams:
         """bsuite's rewards; every episode terminates, none is truncated."""
         return CatchParams(max_steps=self.rows - 1)
-
-    @property
-    def num_actions(self) -> int:
-        """Left, stay, right."""
-        return len(MOVES)
 
     def reset(self, key: Key, params: CatchParams) -> tuple[jax.Array, CatchState]:
         """The ball in a random column: ``obs, state``."""
@@ -128,8 +125,3 @@ class Catch:
         if self.frames:
             return spaces.Box(0, 255, (self.rows, self.columns, 3), np.uint8)
         return spaces.Box(0, 1, (self.rows * self.columns,), np.float32)
-
-    def action_space(self, params: CatchParams) -> spaces.Discrete:
-        """Left, stay, right."""
-        del params
-        return spaces.Discrete(self.num_actions)

@@ -7,7 +7,7 @@ the host, so that other libraries can train in it.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import jax
@@ -20,6 +20,26 @@ from gymnasium.vector.utils import batch_space
 from jaxdyna.types import Environment
 
 __all__ = ["HostEnv", "HostVectorEnv", "atari_emulator", "register", "spaces"]
+
+
+class Discrete:
+    """What environments of this package share: actions are numbered."""
+
+    num_actions: ClassVar[int]
+
+    def action_space(self, params: Any) -> spaces.Discrete:
+        """One of ``num_actions``."""
+        return spaces.Discrete(self.num_actions)
+
+
+class Pictures(Discrete):
+    """And of those that are seen as frames: bytes."""
+
+    frame_shape: Any
+
+    def observation_space(self, params: Any) -> spaces.Box:
+        """Bytes ``[height, width, 3]``."""
+        return spaces.Box(0, 255, self.frame_shape, np.uint8)
 
 
 def register(env_id: str, env: Environment, params: Any, **spec: Any) -> None:

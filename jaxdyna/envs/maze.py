@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from jaxdyna.envs.gymnasium import spaces
+from jaxdyna.envs.gymnasium import Pictures
 from jaxdyna.fields import SettingError, check, setting
 from jaxdyna.types import Key
 
@@ -52,7 +52,7 @@ class MazeState:
 
 
 @dataclass(frozen=True)
-class Maze:
+class Maze(Pictures):
     """A square grid with one agent, one goal that stays, and obstacles that patrol.
 
     In a step the agent moves, then every obstacle moves one cell in its direction; one that would
@@ -62,6 +62,9 @@ class Maze:
     The observation is the frame, uint8 ``[size, size, 3]``: red 255 where an obstacle is, green at
     the goal, blue at the agent; a shared cell lights several channels.
     """
+
+    default_params: ClassVar = MazeParams()
+    num_actions: ClassVar = len(MOVES)
 
     size: int = setting(16, "Cells a side.", at_least=2)
     num_obstacles: int = setting(5, "Obstacles.", at_least=0)
@@ -96,14 +99,9 @@ class Maze:
         return self.goal if self.goal is not None else (0, self.size - 1)
 
     @property
-    def default_params(self) -> MazeParams:
-        """The paper's rewards, 200 steps."""
-        return MazeParams()
-
-    @property
-    def num_actions(self) -> int:
-        """Left, right, forward, backward, wait."""
-        return len(MOVES)
+    def frame_shape(self) -> tuple[int, int, int]:
+        """``(size, size, 3)``."""
+        return self.size, self.size, 3
 
     def reset(self, key: Key, params: MazeParams) -> tuple[jax.Array, MazeState]:
         """Obstacles on distinct random cells, none the agent's or the goal's, each with a random
@@ -176,16 +174,6 @@ class Maze:
         """The frame for people, about 256 pixels a side: `enlarge` of it."""
         del params
         return enlarge(self.frame(state), max(1, 256 // self.size))
-
-    def observation_space(self, params: MazeParams) -> spaces.Box:
-        """Bytes."""
-        del params
-        return spaces.Box(0, 255, (self.size, self.size, 3), np.uint8)
-
-    def action_space(self, params: MazeParams) -> spaces.Discrete:
-        """Left, right, forward, backward, wait."""
-        del params
-        return spaces.Discrete(self.num_actions)
 
 
 def enlarge(frame: jax.Array, scale: int) -> jax.Array:

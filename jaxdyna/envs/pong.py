@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from jaxdyna.envs.gymnasium import spaces
+from jaxdyna.envs.gymnasium import Pictures
 from jaxdyna.envs.pong_rules import FIELD, NUM_ACTIONS, PongParams, PongState, advance, first_state
 from jaxdyna.envs.pong_screen import (
     ABOVE,
@@ -27,7 +26,7 @@ from jaxdyna.types import Key
 
 
 @dataclass(frozen=True)
-class Pong:
+class Pong(Pictures):
     """The player on the right against the built-in opponent on the left.
 
     The rules were measured on the Atari 2600 game frame by frame, and a test compares the two. A
@@ -41,6 +40,9 @@ class Pong:
     a pixel shows what touches any of the pixels that it stands for, so that the ball never
     vanishes.
     """
+
+    default_params: ClassVar = PongParams()
+    num_actions: ClassVar = NUM_ACTIONS
 
     frame_skip: int = setting(4, "Frames a step, all with the same action.", at_least=1)
     scale: int = setting(
@@ -56,16 +58,6 @@ class Pong:
         check(self)
         if FIELD % self.scale:
             raise SettingError("scale", f"is {self.scale}: it must be a divisor of {FIELD}")
-
-    @property
-    def default_params(self) -> PongParams:
-        """The real game's: up to 21 points."""
-        return PongParams()
-
-    @property
-    def num_actions(self) -> int:
-        """Nothing, fire, up, down, up and fire, down and fire."""
-        return NUM_ACTIONS
 
     @property
     def frame_shape(self) -> tuple[int, int, int]:
@@ -125,13 +117,3 @@ class Pong:
         del params
         screen = paint(empty_screen(state, Palette()), screen_masks(state), Palette())
         return screen.repeat(2, axis=0).repeat(2, axis=1)
-
-    def observation_space(self, params: PongParams) -> spaces.Box:
-        """Bytes."""
-        del params
-        return spaces.Box(0, 255, self.frame_shape, np.uint8)
-
-    def action_space(self, params: PongParams) -> spaces.Discrete:
-        """Nothing, fire, up, down, up and fire, down and fire."""
-        del params
-        return spaces.Discrete(self.num_actions)

@@ -33,6 +33,7 @@ FASTEST = 3
 _DIRECTION = np.array([0, 0, -1, 1, -1, 1])
 _FIRES = np.array([False, True, False, False, True, True])
 NUM_ACTIONS = len(_DIRECTION)
+"""Nothing, fire, up, down, up and fire, down and fire."""
 
 
 @struct.dataclass
