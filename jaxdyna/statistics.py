@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom
+from scipy.stats import binom, rankdata
 
 from jaxdyna.fields import check, setting
 
@@ -78,14 +78,8 @@ def episodes_to_solve(returns: np.ndarray, rule: SolveRule) -> np.ndarray:
 
 
 def running_mean(values: np.ndarray, window: int) -> np.ndarray:
-    """The mean of the last so many entries at each of them, of fewer at the start.
-
-    Args:
-        values: ``[..., episodes]``; after a NaN all is NaN.
-        window: entries.
-
-    Returns:
-        float64, the same shape.
+    """The mean of the last ``window`` entries at each of ``[..., episodes]``, of fewer at the
+    start, float64 of the same shape; after a NaN all is NaN.
     """
     padded = np.concatenate([np.zeros((*values.shape[:-1], 1)), values.cumsum(-1, np.float64)], -1)
     ends = np.arange(1, values.shape[-1] + 1)
@@ -108,15 +102,8 @@ def last_mean(values: np.ndarray, window: int) -> np.ndarray:
 
 
 def steps_before(lengths: np.ndarray, first_solved: np.ndarray) -> np.ndarray:
-    """Real steps before the solving window begins.
-
-    Args:
-        lengths: of the real episodes in steps, ``[seeds, episodes]``.
-        first_solved: number of the window's first episode from 1, ``[seeds]``; infinity where
-            unsolved.
-
-    Returns:
-        float64 ``[seeds]``, infinity where unsolved.
+    """Real steps before the solving window begins, ``[seeds]``, from the real episodes' lengths
+    ``[seeds, episodes]`` and its first episode from 1, ``[seeds]``; infinity where unsolved.
     """
     numbers = np.arange(1, lengths.shape[-1] + 1)
     before = np.where(numbers < first_solved[:, None], np.nan_to_num(lengths), 0).sum(-1)
@@ -152,7 +139,7 @@ def summarise(
     return {
         "per_seed": [_plain(value) for value in per_seed],
         "mean": _plain(np.mean(per_seed)),
-        "median": _plain(_median(per_seed)),
+        "median": _plain(np.median(per_seed)),
         "ci95": bootstrap_interval(per_seed, _row_means) if several else None,
         "median_ci95": median_interval(per_seed),
         "solved": int(np.sum(solved)),
@@ -193,13 +180,8 @@ def bootstrap_interval(
 
 
 def mean_of_runs(values: np.ndarray) -> Summary:
-    """One number a run, such as a final return.
-
-    Args:
-        values: ``[seeds]``; what is not finite is left out.
-
-    Returns:
-        ``mean``, ``ci95`` (bootstrap interval) and ``per_seed``, None of what is not finite.
+    """One number a run, such as a final return, ``[seeds]``: ``mean`` and ``ci95`` (bootstrap
+    interval) of what is finite, and ``per_seed``, None of what is not.
     """
     known = values[np.isfinite(values)]
     return {
@@ -250,35 +232,22 @@ def ratio_of_means(
 
 
 def r_squared(squared_error: Any, total: Any, square: Any, count: Any) -> Any:
-    """The share of the variance explained, from sums over transitions: arrays of NumPy or JAX.
-
-    Args:
-        squared_error: summed squared errors of the prediction, ``[..., variables]``.
-        total: summed targets, the same shape.
-        square: summed squared targets, the same shape.
-        count: number of transitions, ``[...]``.
-
-    Returns:
-        ``1 - error / variance``, the same shape as ``squared_error``.
+    """The share of the variance explained, ``1 - error / variance`` ``[..., variables]``, from sums
+    over ``count`` transitions ``[...]`` of squared errors, targets and their squares, likewise:
+    arrays of NumPy or JAX.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         return 1 - squared_error / (square - total * total / count[..., None])
 
 
 def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float, float]:
-    """Spearman's rank correlation of two quantities' means over settings.
-
-    Args:
-        left: ``[settings, seeds]``, finite.
-        right: the same shape, from the same seeds.
-
-    Returns:
-        The correlation, 0 where one of them is the same in every setting, and the ends of its 95%
-        bootstrap interval over seeds.
+    """Spearman's rank correlation of the means over seeds of two finite quantities, ``[settings,
+    seeds]`` of the same seeds, 0 where one is the same in every setting, and the ends of its 95%
+    bootstrap interval over seeds.
     """
 
     def correlate(rows):
-        ranks = [_ranks(values[:, rows].mean(1)) for values in (left, right)]
+        ranks = [rankdata(values[:, rows].mean(1)) for values in (left, right)]
         return np.corrcoef(*ranks)[0, 1] if all(np.ptp(row) > 0 for row in ranks) else 0.0
 
     seeds = left.shape[1]
@@ -287,19 +256,8 @@ def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float,
     return float(correlate(np.arange(seeds))), float(low), float(high)
 
 
-def _ranks(values: np.ndarray) -> np.ndarray:
-    """From 1, equal ones sharing the mean of theirs."""
-    _, where, counts = np.unique(values, return_inverse=True, return_counts=True)
-    return (counts.cumsum() - (counts - 1) / 2)[where]
-
-
 def _row_means(values: np.ndarray) -> np.ndarray:
     return values.mean(-1)
-
-
-def _median(values: np.ndarray) -> float:
-    middle = np.sort(values)[[(len(values) - 1) // 2, len(values) // 2]]
-    return float(middle.mean())
 
 
 def _interval(resampled: np.ndarray) -> list[float | None]:
