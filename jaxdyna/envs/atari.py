@@ -8,6 +8,7 @@ episodes by ``lax.scan``; the copies of a batch are played by a thread for each 
 from __future__ import annotations
 
 import os
+import pickle
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -150,29 +151,18 @@ def _play_one(saved: np.ndarray, action: int, frames: int) -> tuple[np.ndarray, 
         _here.emulator = atari_emulator("Pong")
         _here.start = _here.emulator.cloneState(include_rng=True)
     ale = _here.emulator
-    ale.restoreState(_unpacked(saved, _here.start) if saved.any() else _here.start)
+    ale.restoreState(pickle.loads(saved.tobytes()) if saved.any() else _here.start)
     buttons = ale.getMinimalActionSet()
     reward = sum(ale.act(buttons[int(action)]) for _ in range(int(frames)))
     return _packed(ale.cloneState(include_rng=True)), ale.getScreenRGB(), reward, ale.game_over()
 
 
 def _packed(state: Any) -> np.ndarray:
-    """A saved emulator as bytes, how many of them first."""
-    data = state.__getstate__()
-    if len(data) > EMULATOR_BYTES - 4:
+    """A saved emulator as bytes; zeros fill the room."""
+    data = pickle.dumps(state)
+    if len(data) > EMULATOR_BYTES:
         raise RuntimeError(f"a saved emulator has {len(data)} bytes, room is for {EMULATOR_BYTES}")
-    room = np.zeros(EMULATOR_BYTES, np.uint8)
-    room[:4] = np.frombuffer(np.uint32(len(data)).tobytes(), np.uint8)
-    room[4 : 4 + len(data)] = np.frombuffer(data, np.uint8)
-    return room
-
-
-def _unpacked(room: np.ndarray, like: Any) -> Any:
-    size = int(np.frombuffer(room[:4].tobytes(), np.uint32)[0])
-    kind: Any = type(like)
-    state = kind.__new__(kind)
-    state.__setstate__(room[4 : 4 + size].tobytes())
-    return state
+    return np.frombuffer(data.ljust(EMULATOR_BYTES, b"\0"), np.uint8)
 
 
 @cache

@@ -14,25 +14,12 @@ ABOVE, BELOW, WALL = 34, 16, 10
 """Rows of the whole screen above and below the field, and of the upper wall, which touches it."""
 DIGIT_COLUMNS = (20, 100)
 """Where the opponent's points and the own are written."""
+_ROWS = "75557 26227 71747 71317 55711 74717 74757 71222 75757 75717"
+"""Of each digit, the bits of three pixels."""
 _DIGITS = np.array(
-    [
-        [[row >> bit & 1 for bit in (2, 1, 0)] for row in rows]
-        for rows in (
-            (7, 5, 5, 5, 7),
-            (2, 6, 2, 2, 7),
-            (7, 1, 7, 4, 7),
-            (7, 1, 3, 1, 7),
-            (5, 5, 7, 1, 1),
-            (7, 4, 7, 1, 7),
-            (7, 4, 7, 5, 7),
-            (7, 1, 2, 2, 2),
-            (7, 5, 7, 5, 7),
-            (7, 5, 7, 1, 7),
-        )
-    ],
-    bool,
-).repeat(4, axis=1)
-_DIGITS = _DIGITS.repeat(4, axis=2)
+    [[[int(row) >> bit & 1 for bit in (2, 1, 0)] for row in rows] for rows in _ROWS.split()], bool
+)
+_DIGITS = _DIGITS.repeat(4, axis=1).repeat(4, axis=2)
 
 
 class Palette(NamedTuple):
