@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import platform
+import resource
 import shutil
 import subprocess
 import sys
@@ -14,7 +15,6 @@ import zlib
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import jax
@@ -22,12 +22,6 @@ import numpy as np
 
 import jaxdyna
 from jaxdyna.experiments.engine.work import cores
-
-resource: ModuleType | None
-try:
-    import resource
-except ImportError:  # Windows
-    resource = None
 
 Curves = Mapping[str, np.ndarray]
 Results = dict[str, Any]
@@ -38,8 +32,7 @@ PACKAGE = Path(jaxdyna.__file__).parent
 
 def write_json(path: Path, results: Results) -> None:
     """Writes strict JSON; what is not finite becomes null."""
-    text = json.dumps(_finite(results), indent=1, allow_nan=False) + "\n"
-    _replace(path, text.encode())
+    write_text(path, json.dumps(_finite(results), indent=1, allow_nan=False) + "\n")
 
 
 def read_json(path: Path) -> Any:
@@ -94,12 +87,8 @@ def read_curves(path: Path) -> dict[str, dict[str, np.ndarray]]:
 
 def write_text(path: Path, text: str) -> None:
     """Writes a text file."""
-    _replace(path, text.encode())
-
-
-def _replace(path: Path, content: bytes) -> None:
     part = path.with_name(path.name + ".part")
-    part.write_bytes(content)
+    part.write_text(text, encoding="utf-8")
     part.replace(path)
 
 
@@ -137,7 +126,7 @@ def provenance(earlier: Results | None = None) -> Results:
     most that this process or, where it goes on with an ``earlier`` one's, that one has taken.
     """
     device = jax.devices()[0]
-    peaks = [peak_memory_gib(), ((earlier or {}).get("device") or {}).get("peak_memory_gib")]
+    before = ((earlier or {}).get("device") or {}).get("peak_memory_gib")
     return {
         "versions": {"jaxdyna": jaxdyna.__version__, "python": platform.python_version()}
         | {name: version(name) for name in PACKAGES},
@@ -148,7 +137,7 @@ def provenance(earlier: Results | None = None) -> Results:
             "kind": device.device_kind,
             "count": jax.device_count(),
             "cpu_cores": cores(),
-            "peak_memory_gib": max((peak for peak in peaks if peak is not None), default=None),
+            "peak_memory_gib": max(peak_memory_gib(), before or 0.0),
         },
     }
 
@@ -176,11 +165,7 @@ def source() -> str:
     return digest.hexdigest()[:16]
 
 
-def peak_memory_gib() -> float | None:
-    """The most of the machine's own memory that this process has taken so far, None where the
-    system does not say.
-    """
-    if resource is None:
-        return None
+def peak_memory_gib() -> float:
+    """The most of the machine's own memory that this process has taken so far."""
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**30
