@@ -46,14 +46,11 @@ class Kept:
     over: dict[int, Curves]
 
     def into(self, like: Any, place: Any) -> Any:
-        """The state that was read.
-
-        Args:
-            like: a state of the structure that it must have.
-            place: the device that it is put on.
+        """The state that was read, on a device.
 
         Raises:
-            InputError: where it is of another structure, naming the first leaf that differs.
+            InputError: where it is not of the structure of ``like``, naming the first leaf that
+                differs.
         """
         named, structure = jax.tree_util.tree_flatten_with_path(like)
         wanted = {jax.tree_util.keystr(path): example for path, example in named}
@@ -125,11 +122,7 @@ class BlockStore:
 
 
 class Store:
-    """The checkpoints of one arm.
-
-    Args:
-        folder: of its own, made when needed.
-    """
+    """The checkpoints of one arm, in a folder of its own, made when needed."""
 
     def __init__(self, folder: Path):
         self.folder = folder

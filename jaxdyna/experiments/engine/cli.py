@@ -53,16 +53,8 @@ class Call:
 
 
 def read(kind: type[O], argv: Sequence[str], prog: str, **how: Any) -> Any:
-    """What a command line says of the fields of a dataclass.
-
-    Args:
-        kind: the dataclass.
-        argv: the arguments.
-        prog: the command as the user types it.
-        how: `tyro.cli`'s.
-
-    Raises:
-        SystemExit: with code 2 and one line on bad input.
+    """What a command line says of the fields of a dataclass, ``how`` being `tyro.cli`'s; bad input
+    ends the process with code 2 and one line.
     """
     complaint = io.StringIO()
     try:
@@ -104,11 +96,7 @@ def parse(default: O, argv: Sequence[str], prog: str) -> O:
 
 
 def swept(options: Any, said: Sequence[str]) -> dict[str, list[Any]]:
-    """The grid of ``--sweep FIELD=V,V,...``: values by dotted path.
-
-    Args:
-        options: an experiment's settings.
-        said: what was typed after each ``--sweep``.
+    """The grid of ``--sweep FIELD=V,V,...``, by what was typed after each: values by dotted path.
 
     Raises:
         ValueError: with what to change.

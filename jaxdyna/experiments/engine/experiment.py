@@ -183,13 +183,8 @@ class Entry(NamedTuple):
 def entries(
     experiment: Experiment, options: Any, sweep: Mapping[str, Sequence[Any]]
 ) -> list[Entry]:
-    """Every entry that there can be, swept over a grid of settings; not the rows of a study that
-    decide a swept setting themselves.
-
-    Args:
-        experiment: whose.
-        options: its settings, not resolved yet.
-        sweep: values by dotted path.
+    """Every entry that there can be, from settings not resolved yet, swept over a grid of values by
+    dotted path; not the rows of a study that decide a swept setting themselves.
 
     Raises:
         ValueError: where what is swept would change when a run counts as solved, or is not what a

@@ -325,25 +325,15 @@ class Session:
         made = storage.provenance(self.earlier)
         if self.earlier and self.curves.keys() <= self.earlier["arms"].keys():
             made = {name: self.earlier[name] for name in made}  # drawn anew, not played
-        self.results = results_of(
-            self.experiment,
-            self.options,
-            {entry.name: entry.options for entry in self.every},
-            self.curves,
-            {
-                "experiment": self.family,
-                "part": self.experiment.name,
-                "command": self.command,
-                **made,
-                "runs": {
-                    "seeds": self.seeds, "of": self.options.seeds, "shard": list(self.shard),
-                    "block": self.options.block,
-                },
-                "sweep": fields.plain(dict(self.sweep)),
-                "timing": timing,
-                **self.measured,
-            },
-        )  # fmt: skip
+        runs = {"seeds": self.seeds, "of": self.options.seeds, "shard": list(self.shard),
+                "block": self.options.block}  # fmt: skip
+        about = {
+            "experiment": self.family, "part": self.experiment.name, "command": self.command,
+            **made, "runs": runs, "sweep": fields.plain(dict(self.sweep)), "timing": timing,
+            **self.measured,
+        }  # fmt: skip
+        setups = {entry.name: entry.options for entry in self.every}
+        self.results = results_of(self.experiment, self.options, setups, self.curves, about)
         storage.write_json(self.out / "results.json", self.results)
         storage.write_curves(self.out / "curves.npz", self.curves)  # last: it tells what is done
 
@@ -357,20 +347,11 @@ class Session:
 
 
 def results_of(
-    experiment: Experiment,
-    options: Any,
-    setups: Mapping[str, Any],
-    curves: Mapping[str, Curves],
+    experiment: Experiment, options: Any, setups: Mapping[str, Any], curves: Mapping[str, Curves],
     about: Results,
-) -> Results:
-    """What is in ``results.json``, from nothing but this.
-
-    Args:
-        experiment: whose.
-        options: its settings, resolved.
-        setups: likewise, of each entry.
-        curves: of each entry, ``[runs, ...]``.
-        about: the entries of ``results.json`` that say how these came about, ``timing`` with them.
+) -> Results:  # fmt: skip
+    """What is in ``results.json``, from the experiment's settings, those of each entry and its
+    curves ``[runs, ...]``, and what says ``about`` these how they came about, ``timing`` with it.
     """
     rule = experiment.rule(options) if experiment.rule else None
     arms: Results = {}
@@ -393,10 +374,8 @@ def results_of(
 
 
 def recorded(results: Results) -> tuple[Experiment, Any, dict[str, list[Any]]]:
-    """What a record says that was played, from its ``results.json``.
-
-    Returns:
-        The experiment, its settings, and the values that were swept, by dotted path.
+    """What a record's ``results.json`` says that was played: the experiment, its settings, and the
+    values that were swept, by dotted path.
 
     Raises:
         ValueError: where there is no such experiment, or it does not read the settings.
