@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxdyna.experiments.cartpole import CARTPOLE
-from jaxdyna.experiments.engine import Engine, Experiment, Options, Record, Results, runs_of
+from jaxdyna.experiments.engine import Engine, Experiment, Options, Record, Results, main, runs_of
 from jaxdyna.experiments.report import plots, sections
 from jaxdyna.experiments.report.tables import markdown_table
 from jaxdyna.fields import changed, setting
@@ -68,3 +68,7 @@ SWEEP = Experiment(
     measures={"sweeps": measure},
     sections=(section,),
 )
+PARTS = (SWEEP,)
+
+if __name__ == "__main__":
+    raise SystemExit(main(*PARTS))
