@@ -38,9 +38,6 @@ def check_environment(env: Environment, params: Any = None, random: bool | None 
         env: the environment.
         params: its parameters, by default ``env.default_params``.
         random: True demands that the key matters; None does not, as nothing need be random.
-
-    Raises:
-        ContractError: at the first thing that is wrong.
     """
     name = type(env).__name__
     try:
@@ -86,9 +83,6 @@ def check_agent(agent: Agent, hparams: Any, transitions: Transition, num_actions
         hparams: its hyper-parameters.
         transitions: a few whole episodes ``[N, T]``, with T of at least 2.
         num_actions: of the world.
-
-    Raises:
-        ContractError: at the first thing that is wrong.
     """
     state = _Pure("init", agent.init)(_keys(0)[0], hparams)
     obs = np.asarray(transitions.obs)[0]
@@ -109,9 +103,6 @@ def check_model(model: DynamicsModel, hparams: Any, transitions: Transition) -> 
         model: the model.
         hparams: its hyper-parameters.
         transitions: a few whole episodes ``[N, T]``, with T of at least 2.
-
-    Raises:
-        ContractError: at the first thing that is wrong.
     """
     state = _Pure("init", model.init)(_keys(0)[0], hparams)
     _demand(hasattr(state, "params"), "init's state has no params: call what predict takes so")
@@ -135,9 +126,6 @@ def check_planner(planner: Planner, env: Environment, params: Any, prior: bool =
         env: the environment that it plans in, at best a tiny one.
         params: its parameters.
         prior: whether ``guide.prior`` has to count, as where it starts from a policy.
-
-    Raises:
-        ContractError: at the first thing that is wrong.
     """
     name, reset, zeros = "the planner", jax.jit(env.reset), np.zeros(env.num_actions, np.float32)
     starts = [(*reset(key, params), key) for key in _keys(0)]

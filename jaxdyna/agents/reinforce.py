@@ -111,16 +111,7 @@ def policy_logits(
 def reinforce(
     obs_shape: tuple[int, ...], num_actions: int, config: ReinforceConfig | None = None
 ) -> Agent:
-    """REINFORCE.
-
-    Args:
-        obs_shape: of one observation; it is flattened.
-        num_actions: number of discrete actions.
-        config: the program's settings.
-
-    Returns:
-        An `Agent` whose hparams are `ReinforceHParams`.
-    """
+    """An `Agent` whose hparams are `ReinforceHParams`; it flattens observations ``obs_shape``."""
     config = config or ReinforceConfig()
     network = MLP((*config.hidden, num_actions))
     logits = policy_logits(num_actions, config)

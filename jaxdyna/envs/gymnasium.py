@@ -138,13 +138,8 @@ class HostEnv(gymnasium.Env[np.ndarray, np.int64]):
 
 
 class HostVectorEnv(VectorEnv):
-    """Many copies stepped in one jitted call; an ended one resets in the following step.
-
-    Args:
-        env: the environment.
-        params: its parameters, by default ``env.default_params``.
-        num_envs: number of copies.
-        render_mode: None or ``"rgb_array"``.
+    """``num_envs`` copies of a `HostEnv` stepped in one jitted call; an ended one resets in the
+    following step.
     """
 
     metadata = {
@@ -154,12 +149,9 @@ class HostVectorEnv(VectorEnv):
     }
 
     def __init__(
-        self,
-        env: Environment,
-        params: Any = None,
-        num_envs: int = 1,
+        self, env: Environment, params: Any = None, num_envs: int = 1,
         render_mode: str | None = None,
-    ):
+    ):  # fmt: skip
         self.env = env
         self.params = env.default_params if params is None else params
         self.num_envs = num_envs

@@ -82,20 +82,9 @@ def discriminator(
 
     The model minimises ``-log D(G(z))`` (the non-saturating form of Goodfellow et al. 2014) rather
     than the printed ``+ log D(G(z))``, which would reward it for being seen through. The
-    discriminator minimises the negative of the printed objective. The paper's model, Fig. 4 scaled
-    to the frame, with both optimisers' states in one `DynamicsModel`::
-
-        network = Patched(EncoderDecoder(3 * 4**2, (32, 32, 32), (4, 3, 3), 512), 4)
-        config = PixelConfig(network, l2, reward=None, optimizer=gan_adam, shades=True)
-        model = pixels((40, 40, 3), 6, config, adversary=discriminator((40, 40, 3)))
-        state = model.init(key, AdversarialHParams(4e-3, 0.1, 4e-3))
-
-    Args:
-        frame_shape: ``(height, width, channels)``.
-        config: the program's settings.
-
-    Returns:
-        An `Adversary` whose hparams are `AdversarialHParams`.
+    discriminator minimises the negative of the printed objective. `jaxdyna.experiments.pong.world`
+    puts the paper's model together, Fig. 4 scaled to the frame; ``frame_shape`` is ``(height,
+    width, channels)``, hparams are `AdversarialHParams`.
     """
     config = config or AdversaryConfig()
     network = config.network
@@ -111,12 +100,9 @@ def discriminator(
         return deceive(network.apply(state.params, made))
 
     def update(
-        state: AdversaryState,
-        made: jax.Array,
-        truth: jax.Array,
-        weight: jax.Array,
+        state: AdversaryState, made: jax.Array, truth: jax.Array, weight: jax.Array,
         hparams: AdversarialHParams,
-    ) -> tuple[AdversaryState, dict[str, jax.Array]]:
+    ) -> tuple[AdversaryState, dict[str, jax.Array]]:  # fmt: skip
         def loss_fn(params):
             real = network.apply(params, truth)
             fake = network.apply(params, made)

@@ -79,12 +79,7 @@ def rectangles(
 ) -> DynamicsModel:
     """A model of stacked frames in each of whose channels one rectangle is lit, or nothing.
 
-    Args:
-        frame_shape: ``(height, width, channels)`` of one frame.
-        num_actions: number of discrete actions.
-        config: the program's settings.
-        num_frames: frames in an observation, uint8 ``[H, W, channels * num_frames]``, the newest
-            last; lit from 128 on.
+    The arguments are those of `jaxdyna.models.pixels`; a pixel is lit from 128 on.
 
     Returns:
         A `DynamicsModel` whose hparams have a ``learning_rate``. ``predict`` returns the next

@@ -29,16 +29,9 @@ class Plan(NamedTuple):
 
 
 def solve_maze(env: Maze, state: MazeState, params: MazeParams, num_steps: int) -> Plan:
-    """Plans from ``state`` to the end of the episode.
-
-    Args:
-        env: the maze.
-        state: where to start, usually of `Maze.reset`; ``vmap`` for many.
-        params: rewards and horizon; steps beyond ``params.max_steps`` earn nothing.
-        num_steps: T, at least the steps that are left; static.
-
-    Returns:
-        The `Plan`. Of equally good actions the lowest number is chosen.
+    """Plans from ``state``, usually of `Maze.reset`, to the end of the episode; ``num_steps`` is T,
+    static, at least the steps that are left. Those beyond ``params.max_steps`` earn nothing; of
+    equally good actions the lowest number is chosen.
     """
     cells = jnp.stack(jnp.meshgrid(*[jnp.arange(env.size)] * 2, indexing="ij"), axis=-1)
     landing = jnp.clip(cells[None] + jnp.array(MOVES)[:, None, None], 0, env.size - 1)

@@ -182,17 +182,8 @@ def add(replay: FrameReplay, episodes: Transition, beside: Any = ()) -> FrameRep
 def sample(
     replay: FrameReplay, key: Key, shape: tuple[int, ...], weight: jax.Array | None = None
 ) -> Transition:
-    """Draws transitions with replacement and rebuilds their stacks.
-
-    Args:
-        replay: a buffer; check ``size``, an empty one yields zeros with ``mask`` False.
-        key: random key.
-        shape: how many, as leading axes.
-        weight: ``[capacity]``, what each position's probability is in proportion to, as
-            `jaxdyna.replay.ring.share_weight` makes it of `FrameReplay.held`; uniform without.
-
-    Returns:
-        A `Transition` ``[*shape, ...]``, each as it was added.
+    """Draws transitions ``[*shape, ...]`` with replacement as `jaxdyna.replay.ring.sample` does and
+    rebuilds their stacks: each is as it was added. An empty buffer yields zeros, ``mask`` False.
     """
     return take(replay, draw_numbers(replay, key, shape, weight))
 
