@@ -14,12 +14,8 @@ TITLES = ("input (older frames fainter)", "what came", "what was believed", "err
 
 
 def prediction_grid(path: Path, rows: Mapping[str, Sequence[np.ndarray]], seen: np.ndarray) -> None:
-    """Fig. 7: input, truth, prediction and error of a step, a row for each model.
-
-    Args:
-        path: the PNG.
-        rows: by name ``(truth, belief)``, each ``[H, W, 3]`` in [0, 1].
-        seen: what was seen before the step, likewise.
+    """Fig. 7: input, truth, prediction and error of a step, a row for each model: by name ``(truth,
+    belief)``, each ``[H, W, 3]`` in [0, 1], as what was ``seen`` before the step.
     """
     figure, panels = subplots(len(rows), 4, figsize=(9.2, 2.45 * len(rows)), squeeze=False)
     for row, (name, (truth, belief)) in zip(panels, rows.items(), strict=True):
@@ -39,25 +35,16 @@ def trail(stack: np.ndarray) -> np.ndarray:
     return np.max([frame * part for frame, part in zip(frames, strength, strict=True)], axis=0)
 
 
-def trails(frames: np.ndarray, length: int = 4) -> np.ndarray:
-    """A film in which each frame shows the last few, older ones fainter: `trail` of each.
-
-    Args:
-        frames: uint8 ``[T, H, W, 3]``.
-        length: frames that are seen at a time.
-    """
-    padded = np.concatenate([np.repeat(frames[:1], length - 1, axis=0), frames])
-    stacks = [padded[number : number + len(frames)] for number in range(length)]
+def trails(frames: np.ndarray) -> np.ndarray:
+    """A film, uint8 ``[T, H, W, 3]``, in which each frame shows the last four: `trail` of each."""
+    padded = np.concatenate([np.repeat(frames[:1], 3, axis=0), frames])
+    stacks = [padded[number : number + len(frames)] for number in range(4)]
     return trail(np.concatenate(stacks, axis=-1)).astype(np.uint8)
 
 
 def film(path: Path, columns: Mapping[str, np.ndarray], first_step: int = 1) -> None:
-    """Frames side by side as a GIF that repeats.
-
-    Args:
-        path: the GIF.
-        columns: by title uint8 ``[T, H, W, 3]``; the shortest ends the film.
-        first_step: the number of the first frame.
+    """Frames side by side as a GIF that repeats, by title uint8 ``[T, H, W, 3]``; the shortest ends
+    the film.
     """
     pictures = []
     for step, frames in enumerate(zip(*columns.values(), strict=False), start=first_step):

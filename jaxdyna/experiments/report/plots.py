@@ -36,16 +36,10 @@ def learning_curves(
     solved_at: Mapping[str, np.ndarray], real_first: int, what: str = "return",
     window: int | None = None,
 ) -> None:  # fmt: skip
-    """Figs. 6 and 8: a panel an arm, real return against real episodes, every seed faintly behind.
-
-    Args:
-        path: the PNG.
-        returns: by arm, ``[seeds, episodes]``, NaN after a run's own end.
-        threshold: the return that counts as solved.
-        solved_at: by arm, ``[seeds]``, infinity where unsolved.
-        real_first: N, where dreaming begins.
-        what: the returns are, on the axis.
-        window: episodes in the running mean; None: `smoothing_window`.
+    """Figs. 6 and 8: a panel an arm, real return ``[seeds, episodes]``, NaN after a run's own end,
+    against real episodes, every seed faintly behind; ``solved_at`` ``[seeds]`` is infinity where
+    unsolved, ``real_first`` N, where dreaming begins, ``what`` the returns are, on the axis,
+    ``window`` episodes in the running mean, by default `smoothing_window`.
     """
     window = window or smoothing_window(returns.values())
     size = (5.2 * len(returns), 4.2)

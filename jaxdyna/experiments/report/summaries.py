@@ -20,13 +20,8 @@ UNITS = {
 
 
 def describe_arm(curves: Curves, rule: SolveRule, budget: int) -> Results:
-    """The figures of one arm.
-
-    Args:
-        curves: ``real_return`` and ``real_length``, ``[runs, episodes]``, NaN after a run's own
-            end, and others.
-        rule: when a run counts as solved.
-        budget: real episodes of a run at the most.
+    """The figures of one arm, out of ``real_return`` and ``real_length``, ``[runs, episodes]``, NaN
+    after a run's own end, and what the rule asks for; ``budget``: real episodes at the most.
     """
     score, returns = rule.score(curves), curves["real_return"]
     solved_at = statistics.episodes_to_solve(score, rule)
