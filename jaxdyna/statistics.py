@@ -29,10 +29,9 @@ class SolveRule:
     window: int = setting(help="Successive real training episodes.", at_least=1)
     threshold: float = setting(help="A return, or a share.")
     share_of: str | None = setting(
-        None,
-        "Name of a curve, such as the return that was to be had in each episode; None for a "
+        None, "Name of a curve, such as the return that was to be had in each episode; None for a "
         "threshold that is a return.",
-    )
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check(self)

@@ -71,10 +71,9 @@ class CloningConfig:
         1e-2, "Learning rate of the optimiser, which starts anew after each shown episode.", above=0
     )
     loss: Loss = setting(
-        cross_entropy_loss,
-        "Loss of one imitated action.",
+        cross_entropy_loss, "Loss of one imitated action.",
         choices=(cross_entropy_loss, margin_loss),
-    )
+    )  # fmt: skip
     learns_too: bool = setting(
         False,
         "Whether the agent's own update sees the shown episodes as well, as a learner that is "

@@ -29,11 +29,9 @@ class DQNHParams:
         0.0, "Likewise in the end; linear between.", at_least=0, at_most=1
     )
     epsilon_hold: float = setting(
-        0.0,
-        "Real episodes for which the share of exploratory actions stays at the first.",
-        at_least=0,
-        everyday=True,
-    )
+        0.0, "Real episodes for which the share of exploratory actions stays at the first.",
+        at_least=0, everyday=True,
+    )  # fmt: skip
     epsilon_episodes: float = setting(
         20.0, "Real episodes in which it then falls to the last.", at_least=0
     )
@@ -41,23 +39,17 @@ class DQNHParams:
         0.3, "Share of exploratory actions in dreams.", at_least=0, at_most=1
     )
     fake_share: float = setting(
-        0.5,
-        "Share of each batch that is drawn from fake transitions, once there are any.",
-        at_least=0,
-        at_most=1,
-    )
+        0.5, "Share of each batch that is drawn from fake transitions, once there are any.",
+        at_least=0, at_most=1,
+    )  # fmt: skip
     target_rate: float = setting(
-        0.005,
-        "How far the target network moves towards the online one at a time.",
-        at_least=0,
+        0.005, "How far the target network moves towards the online one at a time.", at_least=0,
         at_most=1,
-    )
+    )  # fmt: skip
     priority_exponent: float = setting(
-        0.6,
-        "Exponent of a transition's TD error in how often it is drawn; 0 for uniform draws.",
-        at_least=0,
-        at_most=1,
-    )
+        0.6, "Exponent of a transition's TD error in how often it is drawn; 0 for uniform draws.",
+        at_least=0, at_most=1,
+    )  # fmt: skip
     importance_exponent: float = setting(
         0.4, "How far the loss makes up for that: 0 not at all, 1 wholly.", at_least=0, at_most=1
     )
@@ -82,27 +74,21 @@ class DQNConfig:
         200, "Likewise after each batch of dreams.", at_least=0, everyday=True
     )
     batch: int = setting(
-        32,
-        "Transitions in a gradient step of the agent.",
-        at_least=1,
-        at_most=1_000_000,
+        32, "Transitions in a gradient step of the agent.", at_least=1, at_most=1_000_000,
         everyday=True,
-    )
+    )  # fmt: skip
     n_step: int = setting(
-        1,
-        "Rewards in a target before it is bootstrapped. From 2 on nothing corrects for what the "
-        "policy of old would have done otherwise.",
-        at_least=1,
-    )
+        1, "Rewards in a target before it is bootstrapped. From 2 on nothing corrects for what the "
+        "policy of old would have done otherwise.", at_least=1,
+    )  # fmt: skip
     double: bool = setting(
         True, "Choose the next action by the online network instead of the target network."
     )
     target_period: int = setting(
         1,
         "Gradient steps between moves of the target network; with a target_rate of 1 it is copied "
-        "every so often, as by Mnih et al. 2015.",
-        at_least=1,
-    )
+        "every so often, as by Mnih et al. 2015.", at_least=1,
+    )  # fmt: skip
     act_by_target: bool = setting(
         True,
         "Act by the target network. Under Polyak averaging that is a mean of the last networks, "
@@ -116,9 +102,8 @@ class DQNConfig:
         1.0,
         "Standard deviation of the log odds of exploratory actions in real episodes, drawn anew "
         "after every update: an exploring episode keeps its direction, as a random walk does not. "
-        "0 for a random walk. Dreams explore without.",
-        at_least=0,
-    )
+        "0 for a random walk. Dreams explore without.", at_least=0,
+    )  # fmt: skip
     explore_until_rewarded: bool = setting(
         False,
         "Let exploration stay at its first share for as long as no real step has brought a reward "

@@ -56,12 +56,9 @@ class PongParams:
         5.8, "Pixels a frame that the player moves where the own paddle is to go.", at_least=0
     )
     repeat_action_probability: float = setting(
-        0.0,
-        'Probability that a frame repeats the last frame\'s action instead ("sticky actions"; '
-        "0.25 in ALE/Pong-v5, 0 in PongNoFrameskip-v4).",
-        at_least=0,
-        at_most=1,
-    )
+        0.0, 'Probability that a frame repeats the last frame\'s action instead ("sticky actions"; '
+        "0.25 in ALE/Pong-v5, 0 in PongNoFrameskip-v4).", at_least=0, at_most=1,
+    )  # fmt: skip
 
 
 @struct.dataclass

@@ -20,18 +20,14 @@ class DreamHParams:
     """What ends a fake episode; can be swept."""
 
     termination_threshold: float = setting(
-        0.5,
-        "Probability of the end above which a fake episode terminates (threshold_rule).",
-        at_least=0,
-        at_most=1,
-    )
+        0.5, "Probability of the end above which a fake episode terminates (threshold_rule).",
+        at_least=0, at_most=1,
+    )  # fmt: skip
     uncertainty_threshold: float = setting(
         math.inf,
         "How uncertain the model may be before a fake episode ends (threshold_rule, uncertain), in "
-        "its own units: jaxdyna.types.Prediction.uncertainty.",
-        at_least=0,
-        infinite=True,
-    )
+        "its own units: jaxdyna.types.Prediction.uncertainty.", at_least=0, infinite=True,
+    )  # fmt: skip
 
 
 @struct.dataclass

@@ -40,10 +40,9 @@ class RectangleConfig:
         at_least=1,
     )
     groups: tuple[tuple[int, ...], ...] = setting(
-        ((0,), (1,), (2,)),
-        "Channels that are decided together, one group after the other.",
+        ((0,), (1,), (2,)), "Channels that are decided together, one group after the other.",
         at_least=0,
-    )
+    )  # fmt: skip
     hidden: tuple[int, ...] = setting(
         (256, 256), "Widths of each group's perceptron.", at_least=1, everyday=True
     )

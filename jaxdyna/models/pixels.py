@@ -40,12 +40,9 @@ class PixelConfig:
     )
     loss: PixelLoss = setting(bce, "Loss of the pixels.", choices={"bce": bce, "l1": l1, "l2": l2})
     threshold: float | None = setting(
-        0.5,
-        "A pixel is lit where it is believed to be with a greater probability (the paper's is "
-        "0.2); None draws it with that probability.",
-        at_least=0,
-        below=1,
-    )
+        0.5, "A pixel is lit where it is believed to be with a greater probability (the paper's is "
+        "0.2); None draws it with that probability.", at_least=0, below=1,
+    )  # fmt: skip
     reward: Any = setting(
         LocalReward(),
         "A module (features, next_frame [N, H, W, C]) -> (reward [N], charge [N]), such as "

@@ -46,17 +46,13 @@ class SupervisedConfig:
     spread: float = setting(
         1.0,
         "How many standard deviations normalise maps to 1. More makes the state's errors smaller "
-        "beside the cross-entropy of the end, and a summed loss stable at larger steps.",
-        above=0,
-    )
+        "beside the cross-entropy of the end, and a summed loss stable at larger steps.", above=0,
+    )  # fmt: skip
     one_hot: bool = setting(False, "Encode the action one-hot instead of as one number.")
     ensemble: int = setting(
-        1,
-        "Members of the ensemble, each with its own initial weights and its own resampling of "
-        "every batch; a prediction is their mean.",
-        at_least=1,
-        everyday=True,
-    )
+        1, "Members of the ensemble, each with its own initial weights and its own resampling of "
+        "every batch; a prediction is their mean.", at_least=1, everyday=True,
+    )  # fmt: skip
     weight_variance: float = setting(
         1.0, "Variance of the initial weights, see jaxdyna.networks.MLP.", above=0
     )

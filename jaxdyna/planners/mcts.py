@@ -28,10 +28,9 @@ class SearchConfig:
     )
     discount: float = setting(0.99, "Discount of the return.", at_least=0, at_most=1)
     considered: int = setting(
-        16,
-        "Actions at the root that gumbel_muzero looks at, the likeliest by prior and noise.",
+        16, "Actions at the root that gumbel_muzero looks at, the likeliest by prior and noise.",
         at_least=1,
-    )
+    )  # fmt: skip
     gumbel_scale: float = setting(
         0.0, "Scale of that noise; 0 looks at the likeliest and decides for the best.", at_least=0
     )
@@ -39,11 +38,9 @@ class SearchConfig:
         0.0, "Share of noise in the prior at the root of muzero.", at_least=0, at_most=1
     )
     temperature: float = setting(
-        0.0,
-        "Temperature of the visits that muzero draws its action by; 0 takes the most visited.",
-        at_least=0,
-        infinite=True,
-    )
+        0.0, "Temperature of the visits that muzero draws its action by; 0 takes the most visited.",
+        at_least=0, infinite=True,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check(self)

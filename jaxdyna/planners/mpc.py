@@ -40,10 +40,8 @@ class ShootingConfig:
         "Temperature of the returns by which random shooting chooses: an action is worth t log "
         "mean exp(return / t) of the sequences that begin with it. 0 goes by the best of them, "
         "infinity by their mean: what is safe whatever follows wins over what a single sequence "
-        "gets away with.",
-        at_least=0,
-        infinite=True,
-    )
+        "gets away with.", at_least=0, infinite=True,
+    )  # fmt: skip
     particles: int = setting(
         1, "Episodes that a sequence is judged by, for a world that is random.", at_least=1
     )
@@ -61,11 +59,9 @@ class CrossEntropyConfig(ShootingConfig):
         8, "Best candidates of a round that the next one is drawn like.", at_least=1
     )
     floor: float = setting(
-        0.1,
-        "Least probability of an action in the next round, shared by all actions.",
-        above=0,
+        0.1, "Least probability of an action in the next round, shared by all actions.", above=0,
         at_most=1,
-    )
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
