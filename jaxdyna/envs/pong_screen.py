@@ -75,15 +75,8 @@ def screen_masks(state: PongState) -> ObjectMasks:
 
 
 def masks_by_colour(screen: jax.Array, scale: int, palette: Palette) -> ObjectMasks:
-    """As `field_masks`, but from a picture of the whole screen, the real game's for one.
-
-    Args:
-        screen: uint8 ``[..., 210, 160, 3]``.
-        scale: as in `jaxdyna.envs.Pong`.
-        palette: the colours on it.
-
-    Returns:
-        Bool ``[..., 160 / scale, 160 / scale]`` each.
+    """As `field_masks`, bool ``[..., 160 / scale, 160 / scale]`` each, but from a picture of the
+    whole screen in these colours, uint8 ``[..., 210, 160, 3]``, the real game's for one.
     """
     field = screen[..., ABOVE : ABOVE + FIELD, :, :]
     blocks = (*field.shape[:-3], FIELD // scale, scale, FIELD // scale, scale)
@@ -110,16 +103,10 @@ def blank(shape: tuple[int, ...], palette: Palette) -> jax.Array:
 
 
 def shares_of(frame: jax.Array, palette: Palette) -> jax.Array:
-    """How much of each object there is in each pixel of a frame of the field that may be blurred:
-    a mixture of the background and one object, the one with which it comes closest. In `CHANNELS`
-    an object has a channel of its own, and all of them count.
-
-    Args:
-        frame: ``[..., H, W, 3]``, 0 to 255.
-        palette: the colours on it.
-
-    Returns:
-        ``[..., H, W, 3]`` in [0, 1]: opponent, own paddle and ball.
+    """How much of opponent, own paddle and ball, ``[..., H, W, 3]`` in [0, 1], there is in each
+    pixel of a frame of the field, 0 to 255, that may be blurred: a mixture of the background and
+    one object, the one with which it comes closest. In `CHANNELS` an object has a channel of its
+    own, and all of them count.
     """
     frame = frame.astype(jnp.float32)
     if palette == CHANNELS:

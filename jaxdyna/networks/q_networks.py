@@ -104,16 +104,9 @@ def normalised(x: jax.Array, hidden: tuple[int, ...]) -> jax.Array:
 
 
 def glimpses(x: jax.Array, by_row: jax.Array, by_column: jax.Array, size: int) -> jax.Array:
-    """What is around a place, zero beyond the edge: the mean over places where it is uncertain.
-
-    Args:
-        x: pictures ``[N, H, W, C]``.
-        by_row: how likely each row is the place's, ``[N, H, heads]``.
-        by_column: likewise of columns, ``[N, W, heads]``.
-        size: cells a side, odd.
-
-    Returns:
-        ``[N, heads, size, size, C]``, the place in the middle.
+    """What is around places in pictures ``[N, H, W, C]``, zero beyond the edge: ``[N, heads, size,
+    size, C]``, the place in the middle. ``by_row`` ``[N, H, heads]`` and ``by_column`` say how
+    likely each row and column is the place's; where it is uncertain, the mean over places.
     """
     reach = size // 2
     padded = jnp.pad(x, ((0, 0), (reach, reach), (reach, reach), (0, 0)))

@@ -47,13 +47,9 @@ def frames(
     shared: Callable[[Any], FrameReplay] | None = None,
     keep: Callable[[Any], Any] = lambda recorded: (),
 ) -> Memory:
-    """`jaxdyna.replay.frames`.
-
-    Args:
-        rare: from `FrameReplay.rest` to bool ``[capacity]``: which transitions are rare.
-        num_frames: frames in a stack.
-        shared: see `jaxdyna.types.Memory`.
-        keep: what of that which was recorded is kept beside the transitions.
+    """`jaxdyna.replay.frames`; ``rare`` says of `FrameReplay.rest` which transitions are rare, bool
+    ``[capacity]``, ``keep`` what of that which was recorded is kept beside the transitions, and for
+    ``shared`` see `jaxdyna.types.Memory`.
     """
 
     def start(capacity: int, episodes: int, example: Transition, recorded: Any) -> FrameReplay:

@@ -33,16 +33,9 @@ def frame_work(
     world: World, model: DynamicsModel, asked: Asked, batch: int, block: int = 1,
     hparams_of: Callable[[Any], Any] = PixelHParams,
 ) -> Work:  # fmt: skip
-    """A model's training, and its judging on new episodes. A run's key gives all models and stages
-    the same episodes.
-
-    Args:
-        world: where.
-        model: what is trained.
-        asked: what it is asked when it is judged.
-        batch: transitions in a gradient step.
-        block: see `Work`.
-        hparams_of: from a learning rate to the model's hparams.
+    """A model's training on batches of so many transitions, and its judging on new episodes. A
+    run's key gives all models and stages the same episodes; ``hparams_of`` makes the model's
+    hparams of a learning rate.
     """
 
     def init(key: Key, stage: Stage) -> Learner:
@@ -75,13 +68,9 @@ def frame_arms(
     options: Any, models: Mapping[str, str], work: Callable[[Any, str], Work],
     parts: Callable[[str], Mapping[str, tuple[int, int]]],
 ) -> dict[str, Callable[[], Arm]]:  # fmt: skip
-    """Every model at each of its stages.
-
-    Args:
-        options: the experiment's.
-        models: by name, which of the options is their `Training`.
-        work: from the options, without what `Stage` holds of them, and a model to its training.
-        parts: of a model by stage: `Stage.part`, and how many episodes that are.
+    """Every model at each of its stages: ``models`` says by name which of the options is their
+    `Training`, ``work`` makes it of the options, without what `Stage` holds of them, and ``parts``
+    says of a model by stage `Stage.part` and how many episodes that are.
     """
     alike = {"updates": 1, "updates_per_episode": 0.0, "learning_rate": 1.0}
     overrides = {f"{of}.{name}": alike[name] for of in models.values() for name in alike}
