@@ -151,18 +151,10 @@ def _clipped(raw: jax.Array) -> jax.Array:
     return jnp.clip(raw, 0, 1)
 
 
-def _absolute_error(raw: jax.Array, truth: jax.Array) -> jax.Array:
-    return jnp.abs(raw - truth)
-
-
-def _half_square(raw: jax.Array, truth: jax.Array) -> jax.Array:
-    return 0.5 * jnp.square(raw - truth)
-
-
-l1 = PixelLoss(_absolute_error, _clipped)
+l1 = PixelLoss(lambda raw, truth: jnp.abs(raw - truth), _clipped)
 """``|x - y|``."""
 
-l2 = PixelLoss(_half_square, _clipped)
+l2 = PixelLoss(lambda raw, truth: 0.5 * jnp.square(raw - truth), _clipped)
 """``(x - y)² / 2``."""
 
 bce = PixelLoss(optax.sigmoid_binary_cross_entropy, jax.nn.sigmoid, jax.nn.sigmoid)

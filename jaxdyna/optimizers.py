@@ -1,4 +1,4 @@
-"""The setting of an optimiser."""
+"""The setting of an optimiser, and what it trains."""
 
 from __future__ import annotations
 
@@ -6,8 +6,18 @@ from collections.abc import Callable
 from typing import Any
 
 import optax
+from flax import struct
 
 from jaxdyna.fields import setting
+
+
+@struct.dataclass
+class Trained:
+    """The state of a learner: its parameters, and its optimiser's state."""
+
+    params: Any
+    opt_state: Any
+
 
 Optimizer = Callable[[Any], optax.GradientTransformation]
 

@@ -1,7 +1,8 @@
 """Every test runs with JAX's key-reuse checker on, and on two devices, whatever the machine has.
 Tests compile more than they compute, so XLA optimises as little as it can and in the way that is
-quickest to compile, and what one test process has compiled is kept for all of them (a run that is
-resumed is the same program).
+quickest to compile, what one test process has compiled is kept for all of them (a run that is
+resumed is the same program), and the garbage collector leaves out what was imported, which it
+would else go through again and again while programs are traced.
 """
 
 import gc
@@ -20,6 +21,10 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 import jax
 import pytest
 
+import jaxdyna.experiments.engine  # noqa: F401
+
+gc.collect()
+gc.freeze()
 jax.config.update("jax_debug_key_reuse", True)
 jax.config.update("jax_num_cpu_devices", 2)
 MANY = 8_000

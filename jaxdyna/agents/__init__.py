@@ -3,16 +3,10 @@
 from jaxdyna.agents.cloning import CloningConfig, CloningState, cloning
 from jaxdyna.agents.dqn import DQNState, dqn, q_values, real_memory
 from jaxdyna.agents.dqn_settings import DQNConfig, DQNHParams
-from jaxdyna.agents.reinforce import (
-    ReinforceConfig,
-    ReinforceHParams,
-    ReinforceState,
-    policy_logits,
-    reinforce,
-)
+from jaxdyna.agents.reinforce import ReinforceConfig, ReinforceHParams, policy_logits, reinforce
 
 __all__ = [
     "CloningConfig", "CloningState", "DQNConfig", "DQNHParams", "DQNState", "ReinforceConfig",
-    "ReinforceHParams", "ReinforceState", "cloning", "dqn", "policy_logits", "q_values",
+    "ReinforceHParams", "cloning", "dqn", "policy_logits", "q_values",
     "real_memory", "reinforce",
 ]  # fmt: skip

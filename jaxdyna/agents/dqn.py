@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import chex
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 from flax import struct
 
@@ -87,10 +86,12 @@ def dqn(
     network = config.network or (GlimpseQ if pictures else PerceptronQ)(num_actions)
     values, num_frames = partial(q_values, network), num_frames or (4 if pictures else 1)
     obs_shape = (*frame_shape[:-1], frame_shape[-1] * num_frames)
+    kind = jnp.uint8 if pictures else jnp.float32
 
     def init(key: Key, hparams: DQNHParams) -> DQNState:
         params = network.init(key, jnp.zeros((1, *obs_shape)))
-        example = _example(obs_shape, np.uint8 if pictures else np.float32)
+        obs, number, flag = jnp.zeros(obs_shape, kind), jnp.float32(0), jnp.bool_(False)
+        example = Transition(obs, jnp.int32(0), number, obs, flag, flag, flag, number)
 
         def empty(capacity: int, episodes: int) -> Prioritized:
             return prioritized.init(frame_replay.init(capacity, episodes, example, num_frames))
@@ -267,12 +268,3 @@ def _weighted(transitions: Transition) -> Transition:
 def _where(needed: jax.Array, work: Callable[[], Learned], state: DQNState) -> Learned:
     """What ``work`` returns, or the state as it is."""
     return jax.lax.cond(needed, work, lambda: (state, {"loss": jnp.float32(0)}))
-
-
-def _example(obs_shape: tuple[int, ...], kind: Any) -> Transition:
-    def of(shape: tuple[int, ...], dtype: Any) -> Any:
-        return jax.ShapeDtypeStruct(shape, dtype)
-
-    number, flag = of((), np.float32), of((), np.bool_)
-    obs = of(obs_shape, kind)
-    return Transition(obs, of((), np.int32), number, obs, flag, flag, flag, number)

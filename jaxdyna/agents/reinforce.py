@@ -14,7 +14,7 @@ from flax import struct
 from jaxdyna.fields import check, setting
 from jaxdyna.losses import discounted_returns, policy_gradient, standardise
 from jaxdyna.networks import MLP
-from jaxdyna.optimizers import Optimizer, optimizer_setting
+from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
 from jaxdyna.types import Agent, Key, Transition, check_transitions
 
 
@@ -88,14 +88,6 @@ class ReinforceConfig:
         check(self)
 
 
-@struct.dataclass
-class ReinforceState:
-    """The policy's parameters and the optimiser's state."""
-
-    params: Any
-    opt_state: Any
-
-
 def policy_logits(
     num_actions: int, config: ReinforceConfig
 ) -> Callable[[Any, jax.Array], jax.Array]:
@@ -116,18 +108,18 @@ def reinforce(
     network = MLP((*config.hidden, num_actions))
     logits = policy_logits(num_actions, config)
 
-    def init(key: Key, hparams: ReinforceHParams) -> ReinforceState:
+    def init(key: Key, hparams: ReinforceHParams) -> Trained:
         params = network.init(key, jnp.zeros(obs_shape, jnp.float32).reshape(-1))
         opt_state = config.optimizer(hparams.learning_rate).init(params)
-        return ReinforceState(params, opt_state)
+        return Trained(params, opt_state)
 
-    def act(state: ReinforceState, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
+    def act(state: Trained, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
         del hparams
         return jax.random.categorical(key, logits(state.params, obs))
 
     def update(
-        state: ReinforceState, transitions: Transition, key: Key, hparams: ReinforceHParams
-    ) -> tuple[ReinforceState, dict[str, jax.Array]]:
+        state: Trained, transitions: Transition, key: Key, hparams: ReinforceHParams
+    ) -> tuple[Trained, dict[str, jax.Array]]:
         """One gradient step. Adam forgets the loss's scale, so the mean weight of the batch scales
         the step itself: data of weight 0.5 moves the policy half as far.
         """
@@ -150,7 +142,7 @@ def reinforce(
         updates, opt_state = optimizer.update(grads, state.opt_state, state.params)
         mean_weight = weight.sum() / jnp.maximum(valid.sum(), 1)
         updates = jax.tree.map(lambda update: update * mean_weight, updates)
-        new = ReinforceState(optax.apply_updates(state.params, updates), opt_state)
+        new = Trained(optax.apply_updates(state.params, updates), opt_state)
         any_valid = valid.any()
         new = jax.tree.map(lambda new, old: jnp.where(any_valid, new, old), new, state)
         return new, {"loss": loss}

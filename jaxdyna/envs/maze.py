@@ -177,13 +177,5 @@ class Maze(Pictures):
 
 
 def enlarge(frame: jax.Array, scale: int) -> jax.Array:
-    """Every cell as a square of ``scale`` pixels; the channels as they are, on black.
-
-    Args:
-        frame: ``[rows, columns, 3]``.
-        scale: pixels a cell.
-
-    Returns:
-        ``[rows * scale, columns * scale, 3]``.
-    """
+    """Every cell of ``[rows, columns, 3]`` as a square of ``scale`` pixels."""
     return frame.repeat(scale, axis=0).repeat(scale, axis=1)

@@ -18,26 +18,20 @@ from jaxdyna.models.environment import (
     uncertain,
     uniform_start,
 )
-from jaxdyna.models.objects import (
-    RectangleConfig,
-    RectangleState,
-    rectangle_probability,
-    rectangles,
-)
+from jaxdyna.models.objects import RectangleConfig, rectangle_probability, rectangles
 from jaxdyna.models.pixels import PixelConfig, PixelHParams, PixelState, frame_probability, pixels
 from jaxdyna.models.supervised import (
     SupervisedConfig,
     SupervisedHParams,
     SupervisedParams,
-    SupervisedState,
     supervised,
 )
 
 __all__ = [
     "AdversarialHParams", "Adversary", "AdversaryConfig", "DreamHParams", "LearnedEnvironment",
     "LearnedParams", "LearnedState", "PixelConfig", "PixelHParams", "PixelState", "RectangleConfig",
-    "RectangleState", "SupervisedConfig", "SupervisedHParams", "SupervisedParams",
-    "SupervisedState", "discriminator", "frame_probability", "gan_adam", "never", "pixels",
+    "SupervisedConfig", "SupervisedHParams", "SupervisedParams",
+    "discriminator", "frame_probability", "gan_adam", "never", "pixels",
     "probability_rule", "rectangle_probability", "rectangles", "supervised",
     "threshold_rule", "uncertain", "uniform_start",
 ]  # fmt: skip

@@ -15,7 +15,7 @@ from flax import struct
 from jaxdyna.fields import check, setting
 from jaxdyna.losses import deceive, discern
 from jaxdyna.networks import Discriminator
-from jaxdyna.optimizers import Optimizer, optimizer_setting
+from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
 from jaxdyna.types import Key
 
 
@@ -52,14 +52,6 @@ class AdversaryConfig:
         check(self)
 
 
-@struct.dataclass
-class AdversaryState:
-    """Weights and the optimiser's state."""
-
-    params: Any
-    opt_state: Any
-
-
 class Adversary(NamedTuple):
     """A judge of predicted frames that learns beside the model.
 
@@ -89,20 +81,20 @@ def discriminator(
     config = config or AdversaryConfig()
     network = config.network
 
-    def init(key: Key, hparams: AdversarialHParams) -> AdversaryState:
+    def init(key: Key, hparams: AdversarialHParams) -> Trained:
         params = network.init(key, jnp.zeros((1, *frame_shape)))
-        return AdversaryState(params, optimizer(hparams).init(params))
+        return Trained(params, optimizer(hparams).init(params))
 
     def optimizer(hparams: AdversarialHParams) -> optax.GradientTransformation:
         return config.optimizer(hparams.discriminator_learning_rate)
 
-    def unmasked(state: AdversaryState, made: jax.Array) -> jax.Array:
+    def unmasked(state: Trained, made: jax.Array) -> jax.Array:
         return deceive(network.apply(state.params, made))
 
     def update(
-        state: AdversaryState, made: jax.Array, truth: jax.Array, weight: jax.Array,
+        state: Trained, made: jax.Array, truth: jax.Array, weight: jax.Array,
         hparams: AdversarialHParams,
-    ) -> tuple[AdversaryState, dict[str, jax.Array]]:  # fmt: skip
+    ) -> tuple[Trained, dict[str, jax.Array]]:  # fmt: skip
         def loss_fn(params):
             real = network.apply(params, truth)
             fake = network.apply(params, made)
@@ -115,6 +107,6 @@ def discriminator(
         updates, opt_state = optimizer(hparams).update(grads, state.opt_state, state.params)
         params = optax.apply_updates(state.params, updates)
         metrics = {"discriminator_loss": loss, "discriminator_accuracy": right}
-        return AdversaryState(params, opt_state), metrics
+        return Trained(params, opt_state), metrics
 
     return Adversary(init, unmasked, update)

@@ -15,7 +15,6 @@ import chex
 import jax
 import jax.numpy as jnp
 import optax
-from flax import struct
 
 from jaxdyna.fields import check, setting
 from jaxdyna.networks.objects import (
@@ -26,7 +25,7 @@ from jaxdyna.networks.objects import (
     drawn,
     rectangles_of,
 )
-from jaxdyna.optimizers import Optimizer, optimizer_setting
+from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions
 
 
@@ -62,14 +61,6 @@ class RectangleConfig:
         check(self)
 
 
-@struct.dataclass
-class RectangleState:
-    """Flax's variables and the optimiser's state."""
-
-    params: Any
-    opt_state: Any
-
-
 def rectangles(
     frame_shape: tuple[int, int, int],
     num_actions: int,
@@ -91,12 +82,12 @@ def rectangles(
     height, width, channels = frame_shape
     module = _module(frame_shape, config)
 
-    def init(key: Key, hparams: Any) -> RectangleState:
+    def init(key: Key, hparams: Any) -> Trained:
         stack = jnp.zeros((1, height, width, channels * num_frames), jnp.uint8)
         past = rectangles_of(stack, channels)
         variables = module.init(key, past, jnp.zeros((1, num_actions)), _likeliest)
         optimizer = config.optimizer(hparams.learning_rate)
-        return RectangleState(variables, optimizer.init(variables["params"]))
+        return Trained(variables, optimizer.init(variables["params"]))
 
     def predict(params: Any, obs: jax.Array, action: jax.Array, key: Key) -> Prediction:
         chex.assert_rank([obs, action], [3, 0])
@@ -152,12 +143,12 @@ def _module(frame_shape: tuple[int, int, int], config: RectangleConfig) -> Recta
 
 def _learner(
     module: RectangleDynamics, num_actions: int, config: RectangleConfig
-) -> Callable[..., tuple[RectangleState, dict[str, jax.Array]]]:
+) -> Callable[..., tuple[Trained, dict[str, jax.Array]]]:
     """The model's ``update``."""
 
     def update(
-        state: RectangleState, transitions: Transition, key: Key, hparams: Any
-    ) -> tuple[RectangleState, dict[str, jax.Array]]:
+        state: Trained, transitions: Transition, key: Key, hparams: Any
+    ) -> tuple[Trained, dict[str, jax.Array]]:
         """One gradient step; ``metrics`` are the mean losses of a transition."""
         check_transitions(transitions)
         lead, channels = transitions.mask.ndim, len(sum(config.groups, ()))
@@ -190,7 +181,7 @@ def _learner(
         optimizer = config.optimizer(hparams.learning_rate)
         updates, opt_state = optimizer.update(grads, state.opt_state, state.params["params"])
         trained = optax.apply_updates(state.params["params"], updates)
-        new = RectangleState({"params": trained}, opt_state)
+        new = Trained({"params": trained}, opt_state)
         new = jax.tree.map(lambda new, old: jnp.where((weight > 0).any(), new, old), new, state)
         return new, {"loss": loss, **means}
 

@@ -14,7 +14,7 @@ from flax import struct
 from jaxdyna.fields import check, setting
 from jaxdyna.losses import transition_loss
 from jaxdyna.networks import MLP
-from jaxdyna.optimizers import Optimizer, optimizer_setting
+from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions
 
 
@@ -92,14 +92,6 @@ class SupervisedParams:
     targets: Moments
 
 
-@struct.dataclass
-class SupervisedState:
-    """Parameters and the optimiser's state."""
-
-    params: SupervisedParams
-    opt_state: Any
-
-
 def supervised(
     obs_size: int, num_actions: int, config: SupervisedConfig | None = None
 ) -> DynamicsModel:
@@ -135,12 +127,12 @@ def supervised(
         output = network.apply(weights, jnp.concatenate([scaled, encode(action)]))
         return output[:obs_size], output[obs_size], output[obs_size + 1]
 
-    def init(key: Key, hparams: SupervisedHParams) -> SupervisedState:
+    def init(key: Key, hparams: SupervisedHParams) -> Trained:
         zeros = jnp.zeros(obs_size + action_size)
         weights = jax.vmap(network.init, (0, None))(jax.random.split(key, config.ensemble), zeros)
         still = Moments(jnp.zeros(obs_size), jnp.ones(obs_size), jnp.int32(0))
         opt_state = config.optimizer(hparams.learning_rate).init(weights)
-        return SupervisedState(SupervisedParams(weights, still, still), opt_state)
+        return Trained(SupervisedParams(weights, still, still), opt_state)
 
     def predict(
         params: SupervisedParams, obs: jax.Array, action: jax.Array, key: Key
@@ -159,8 +151,8 @@ def supervised(
         )
 
     def update(
-        state: SupervisedState, transitions: Transition, key: Key, hparams: SupervisedHParams
-    ) -> tuple[SupervisedState, dict[str, jax.Array]]:
+        state: Trained, transitions: Transition, key: Key, hparams: SupervisedHParams
+    ) -> tuple[Trained, dict[str, jax.Array]]:
         check_transitions(transitions)
         lead = transitions.mask.ndim
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[lead:]), transitions)
@@ -197,7 +189,7 @@ def supervised(
         optimizer = config.optimizer(hparams.learning_rate)
         updates, opt_state = optimizer.update(grads, state.opt_state, params.network)
         params = replace(params, network=optax.apply_updates(params.network, updates))
-        new = SupervisedState(params, opt_state)
+        new = Trained(params, opt_state)
         any_weight = (weight > 0).any()
         new = jax.tree.map(lambda new, old: jnp.where(any_weight, new, old), new, state)
         return new, {"loss": loss}

@@ -60,14 +60,8 @@ class Planner(Protocol):
 def rollout_value(
     env: Environment, env_params: Any, num_steps: int, discount: float = 1.0
 ) -> Value:
-    """The value of a state by one random episode from it, as in the first Monte Carlo tree searches
-    (Kocsis and Szepesvári 2006).
-
-    Args:
-        env: the environment.
-        env_params: its parameters.
-        num_steps: steps at the most, static.
-        discount: scalar in [0, 1].
+    """The value of a state by one random episode from it, of ``num_steps`` (static) at the most, as
+    in the first Monte Carlo tree searches (Kocsis and Szepesvári 2006).
     """
 
     def value(obs: jax.Array, state: Any, key: Key) -> jax.Array:

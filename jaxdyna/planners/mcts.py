@@ -56,28 +56,15 @@ class Node(NamedTuple):
 
 def gumbel_muzero(env: Environment, config: SearchConfig) -> Planner:
     """Search by sequential halving with Gumbel noise (Danihelka et al. 2022): a policy is improved
-    whatever the number of simulations.
-
-    Args:
-        env: the world to plan in: a true or a learned environment.
-        config: the program's settings.
-
-    Raises:
-        ImportError: without mctx.
+    whatever the number of simulations. ``env`` and errors as in `muzero`.
     """
     mctx = require_mctx()
 
     def search(key: Key, root: Any, recurrent: Callable) -> Any:
         return mctx.gumbel_muzero_policy(
-            None,
-            key,
-            root,
-            recurrent,
-            config.simulations,
-            max_depth=config.max_depth,
-            max_num_considered_actions=config.considered,
-            gumbel_scale=config.gumbel_scale,
-        )
+            None, key, root, recurrent, config.simulations, max_depth=config.max_depth,
+            max_num_considered_actions=config.considered, gumbel_scale=config.gumbel_scale,
+        )  # fmt: skip
 
     return _planner(mctx, env, config, search)
 
@@ -96,15 +83,9 @@ def muzero(env: Environment, config: SearchConfig) -> Planner:
 
     def search(key: Key, root: Any, recurrent: Callable) -> Any:
         return mctx.muzero_policy(
-            None,
-            key,
-            root,
-            recurrent,
-            config.simulations,
-            max_depth=config.max_depth,
-            dirichlet_fraction=config.dirichlet_fraction,
-            temperature=config.temperature,
-        )
+            None, key, root, recurrent, config.simulations, max_depth=config.max_depth,
+            dirichlet_fraction=config.dirichlet_fraction, temperature=config.temperature,
+        )  # fmt: skip
 
     return _planner(mctx, env, config, search)
 
@@ -146,9 +127,7 @@ def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable
         root = mctx.RootFnOutput(
             prior_logits=prior(obs), value=value(node, key_value), embedding=node
         )
-        raw = jax.random.key_data(
-            key_search
-        )  # mctx draws twice from one, which a typed key refuses
+        raw = jax.random.key_data(key_search)  # mctx draws twice from one: a typed key refuses
         found = search(raw, jax.tree.map(lambda leaf: leaf[None], root), recurrent)
         tree = found.search_tree
         action = found.action[0].astype(jnp.int32)

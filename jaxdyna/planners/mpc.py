@@ -125,11 +125,8 @@ def score(
 
 
 def random_shooting(env: Environment, config: ShootingConfig) -> Planner:
-    """The best of random sequences. Of equally good ones the first is chosen.
-
-    Args:
-        env: the world to plan in: a true or a learned environment.
-        config: the program's settings.
+    """The best of random sequences in ``env``, true or learned. Of equally good ones the first is
+    chosen.
     """
     judge = _judge(env, config)
 
@@ -149,14 +146,7 @@ def random_shooting(env: Environment, config: ShootingConfig) -> Planner:
 def cross_entropy(env: Environment, config: CrossEntropyConfig) -> Planner:
     """The cross-entropy method (Rubinstein 1999; Botev et al. 2013): rounds of sequences, each
     round's actions drawn with the frequencies that they have, at each step, in the best sequences
-    of the round before.
-
-    Args:
-        env: the world to plan in: a true or a learned environment.
-        config: the program's settings.
-
-    Returns:
-        A planner that does the first action of the best sequence of all rounds.
+    of the round before. The first action of the best sequence of all rounds is done.
     """
     judge, num_actions = _judge(env, config), env.num_actions
 

@@ -31,14 +31,8 @@ class Window(NamedTuple):
 def take_window(
     replay: FrameReplay, number: jax.Array, length: int, discount: jax.Array | float
 ) -> Window:
-    """The windows that begin with these transitions, fewer than ``length`` long where an episode
-    ends.
-
-    Args:
-        replay: the buffer.
-        number: as that of `jaxdyna.replay.frames.take`, int ``[...]``.
-        length: n.
-        discount: scalar in [0, 1].
+    """The windows that begin with the transitions of these numbers (`jaxdyna.replay.frames.take`),
+    fewer than ``length`` long where an episode ends.
     """
     first = frame_replay.take(replay, number)
     if length == 1:

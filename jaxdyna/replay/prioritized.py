@@ -63,20 +63,11 @@ def draw_numbers(
 
 
 def reprioritise(
-    held: Prioritized,
-    numbers: jax.Array,
-    errors: jax.Array,
-    which: jax.Array,
+    held: Prioritized, numbers: jax.Array, errors: jax.Array, which: jax.Array,
     exponent: jax.Array | float,
-) -> Prioritized:
-    """Priorities anew where ``which`` (bool) says so.
-
-    Args:
-        held: the buffer.
-        numbers: of transitions, ``[N]``.
-        errors: their TD errors, ``[N]``.
-        which: bool ``[N]``.
-        exponent: of the error; 0 draws uniformly.
+) -> Prioritized:  # fmt: skip
+    """Priorities anew of the transitions of these numbers, where ``which`` (bool) says so, by their
+    TD errors, all ``[N]``; an exponent of 0 draws uniformly.
     """
     capacity = held.memory.capacity
     slot = jnp.where(which, numbers % capacity, capacity)  # out of bounds: dropped

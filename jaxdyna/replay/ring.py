@@ -41,11 +41,7 @@ class Replay:
 
 
 def init(capacity: int, example: PyTree) -> Replay:
-    """An empty buffer.
-
-    Args:
-        capacity: the most items held.
-        example: one item: arrays, or anything with ``shape`` and ``dtype``.
+    """An empty buffer for items like the example: arrays, or anything with ``shape`` and ``dtype``.
 
     Raises:
         ValueError: where ``capacity`` is not positive.
@@ -119,11 +115,7 @@ def take(replay: Replay, position: jax.Array) -> PyTree:
 
 
 def sample_distinct(replay: Replay, key: Key, count: int) -> PyTree:
-    """Draws ``count`` items, none twice; those that it holds less than that come as stored zeros.
-
-    Returns:
-        Every leaf ``[count, ...]``.
-    """
+    """Draws ``count`` items, none twice; those that it holds less than that come as zeros."""
     ticket = jnp.where(replay.held, jax.random.uniform(key, (replay.capacity,)), -1)
     _, rows = jax.lax.top_k(ticket, count)
     return jax.tree.map(lambda leaf: leaf[rows], replay.data)

@@ -8,12 +8,11 @@ from jaxdyna.experiments.engine.experiment import (
     Record,
     Results,
     Study,
-    Table,
 )
 from jaxdyna.experiments.engine.session import main
 from jaxdyna.experiments.engine.work import Arm, Curves, Engine, Runs, Work, runs_of
 
 __all__ = [
     "Arm", "Curves", "Engine", "Experiment", "InputError", "Options", "Overrides", "Record",
-    "Results", "Runs", "Study", "Table", "Work", "main", "runs_of",
+    "Results", "Runs", "Study", "Work", "main", "runs_of",
 ]  # fmt: skip

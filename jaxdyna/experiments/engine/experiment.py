@@ -18,7 +18,6 @@ from jaxdyna.statistics import SolveRule
 
 Results = dict[str, Any]
 Overrides = Mapping[str, Any]
-Table = tuple[Sequence[str], Sequence[Sequence[str]]]
 Say = Callable[[str], None]
 
 
