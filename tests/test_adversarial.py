@@ -92,7 +92,9 @@ def test_losses_by_hand():
     np.testing.assert_allclose(discern(jnp.float32(real), jnp.float32(fake)), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("config", [CONFIG, FIG4], ids=["local", "fig4"])
+@pytest.mark.parametrize(
+    "config", [CONFIG, pytest.param(FIG4, marks=pytest.mark.slow)], ids=["local", "fig4"]
+)
 def test_a_weight_of_zero_is_the_squared_error_alone(batch, config):
     """To rounding, though the discriminator learns. Adam makes whole steps of the rounding in
     biases that BatchNorm takes out again: of Fig. 4 the losses are the same, not all the weights.
@@ -149,6 +151,7 @@ def test_who_judges_a_cross_entropy_is_shown_probabilities(batch):
     assert metrics["adversarial_loss"] == 0
 
 
+@pytest.mark.slow
 def test_the_squared_error_blurs_and_the_adversary_minds(batch):
     """Two places, one prediction: alone half a dot in each; with the adversary no longer."""
     shown = {}

@@ -242,6 +242,7 @@ def test_clear_errors():
     assert hash(Catch()) == hash(Catch()) != hash(Catch(frames=True))
 
 
+@pytest.mark.slow
 def test_more_updates_learns_from_real_steps_alone():
     """Whatever is dreamed, its policy is the same; and by dyna's values it is not."""
     options = changed(TUNED, {

@@ -145,6 +145,7 @@ def test_replays_are_no_larger_than_a_run_can_fill():
     assert agent_of(many).fake_episodes >= 5000
 
 
+@pytest.mark.slow  # as of the frame models and of CartPole
 def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatch):
     """Ctrl-C once there are dreams: replays, priorities and films come back bit for bit."""
     original = Bars.tell

@@ -99,16 +99,20 @@ class LocalReward(nn.Module):
     Attributes:
         width: of the hidden layer.
         price: charged for a cell's absolute reward.
+        around: whether a cell is judged by its features under the picture, which know what is
+            around it and what was done, instead of by its colours alone.
     """
 
     width: int = 16
     price: float = 0.1
+    around: bool = False
 
     @nn.compact
     def __call__(self, features: jax.Array, next_frame: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """From the next picture ``[N, H, W, C]`` in [0, 1] to rewards and charges, both ``[N]``."""
-        del features
-        x = nn.relu(nn.Dense(self.width)(next_frame))
+        """From features and the next picture ``[N, H, W, C]``, this in [0, 1], to rewards and
+        charges, both ``[N]``.
+        """
+        x = nn.relu(nn.Dense(self.width)(features if self.around else next_frame))
         earned = nn.Dense(1, use_bias=False)(x)[..., 0]
         return earned.sum((1, 2)), self.price * jnp.abs(earned).sum((1, 2))
 

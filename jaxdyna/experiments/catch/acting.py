@@ -14,7 +14,7 @@ from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.frames import frame_dyna, true_dyna
 from jaxdyna.fields import LARGEST, changed, setting
 from jaxdyna.models import PixelConfig, PixelHParams, pixels
-from jaxdyna.networks import GlimpseQ, JointReward, LocalDynamics
+from jaxdyna.networks import GlimpseQ, LocalDynamics, LocalReward
 from jaxdyna.rollout import rollout
 from jaxdyna.statistics import SolveRule, mean_of_runs
 
@@ -49,15 +49,15 @@ class CatchOptions(Options):
                                       at_least=1)  # fmt: skip
     dyna: DynaConfig = setting(factory=lambda: DynaConfig(
         num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
-        num_real_first=20, model_updates=20, model_batch=32, dream_updates=1, dream_episodes=32,
+        num_real_first=10, model_updates=40, model_batch=16, dream_updates=1, dream_episodes=32,
         dream_steps=9, rare_share=0.5,
     ))  # fmt: skip
     agent: DQNConfig = setting(factory=lambda: DQNConfig(
         updates=10, fake_updates=40, fake_capacity=10_000, n_step=3,
     ))  # fmt: skip
     hparams: DynaHParams = setting(factory=lambda: DynaHParams(
-        DQNHParams(epsilon_hold=10.0, epsilon_episodes=40.0, discount=0.97, target_rate=0.02),
-        PixelHParams(1e-2), CatchParams(),
+        DQNHParams(epsilon_hold=0.0, epsilon_episodes=15.0, discount=0.97, target_rate=0.02),
+        PixelHParams(5e-3), CatchParams(),
     ))  # fmt: skip
 
     def resolved(self) -> Self:
@@ -75,8 +75,9 @@ def parts(game: Catch, agent: DQNConfig, widths: tuple[int, ...]) -> Dyna:
     """The parts of ``dyna``: one object, and so one program, for the same settings."""
     env, shape = FrameStack(game), (game.rows, game.columns, 3)
     config = PixelConfig(
-        LocalDynamics(3, widths), reward=JointReward(), reward_weight=5.0, terminates=True
-    )
+        LocalDynamics(3, widths), reward=LocalReward(around=True), reward_weight=5.0,
+        terminates=True,
+    )  # fmt: skip
     model = pixels(shape, game.num_actions, config)
     return frame_dyna(env, dqn(shape, game.num_actions, agent), model)
 
@@ -84,7 +85,8 @@ def parts(game: Catch, agent: DQNConfig, widths: tuple[int, ...]) -> Dyna:
 def arms(options: CatchOptions) -> dict[str, study.Made]:
     """The standard arms."""
     game = Catch(options.rows, options.columns, frames=True)
-    agent = replace(study.sized(options.agent, options.dyna), network=GlimpseQ(game.num_actions))
+    network = GlimpseQ(game.num_actions, size=3, hidden=(64, 64))
+    agent = replace(study.sized(options.agent, options.dyna), network=network)
     dyna = parts(game, agent, options.widths)
     return study.standard_arms(
         dyna, options.dyna, options.hparams, true_dyna(dyna),

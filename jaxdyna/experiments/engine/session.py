@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import json
 import shlex
@@ -69,7 +70,10 @@ def main(
     Raises:
         SystemExit: with code 2 and one line on bad input, with 0 after ``--help``.
     """
-    argv = list(sys.argv[1:] if argv is None else argv)
+    if argv is None:  # a process of its own: tracing need not search what was imported for garbage
+        gc.freeze()
+        argv = sys.argv[1:]
+    argv = list(argv)
     prog = prog or _prog()
     try:
         session = prepared(parts, argv, prog)
