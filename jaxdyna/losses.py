@@ -45,8 +45,9 @@ def standardise(values: jax.Array, mask: jax.Array) -> jax.Array:
     chex.assert_equal_shape([values, mask])
     count = jnp.maximum(mask.sum(), 1)
     centred = jnp.where(mask, values - jnp.where(mask, values, 0).sum() / count, 0)
-    variance = jnp.square(centred).sum() / count
-    return centred / (jnp.sqrt(variance) + 1e-6)
+    std = jnp.sqrt(jnp.square(centred).sum() / count)
+    rounding = 8 * jnp.finfo(std.dtype).eps * jnp.abs(jnp.where(mask, values, 0)).max()
+    return jnp.where(std > rounding, centred / (std + 1e-6), 0.0)
 
 
 def policy_gradient(

@@ -53,6 +53,7 @@ from jaxdyna.models import (
     uniform_start,
 )
 from jaxdyna.models.evaluation import one_step, one_step_sums, open_loop
+from jaxdyna.models.supervised import Moments, _update_moments
 from jaxdyna.networks import (
     EncoderDecoder,
     GlimpseQ,
@@ -72,7 +73,7 @@ from jaxdyna.planners import (
 )
 from jaxdyna.statistics import r_squared
 from jaxdyna.testing import check_agent, check_environment, check_model, check_planner
-from jaxdyna.types import Agent
+from jaxdyna.types import Agent, Transition
 
 SIZE = 8
 FRAME = (SIZE, SIZE, 3)
@@ -375,3 +376,36 @@ def test_reinforce_learns_cartpole():
 def test_clear_errors():
     with pytest.raises(ValueError, match="at least 1"):
         SupervisedConfig(ensemble=0)
+
+
+def test_moments_far_from_zero():
+    """Of 300 batches of 10,000 + N(0, 1)."""
+    values = 10_000 + jax.random.normal(jax.random.key(0), (300, 32, 1))
+    still = Moments(jnp.zeros(1), jnp.ones(1), jnp.int32(0))
+    take_in = jax.jit(lambda all: jax.lax.scan(
+        lambda held, batch: (_update_moments(held, batch, jnp.ones(32)), None), still, all
+    )[0])  # fmt: skip
+    moments = take_in(values)
+    np.testing.assert_allclose(moments.mean, values.mean(), rtol=1e-6)
+    np.testing.assert_allclose(moments.std, 1, rtol=0.05)
+    halves = take_in(jnp.stack([jnp.zeros((32, 1)), jnp.ones((32, 1))]))
+    np.testing.assert_allclose([*halves.mean, *halves.std], 0.5, rtol=1e-6)
+
+
+def test_a_variable_that_never_moved_has_no_scale():
+    moments = _update_moments(
+        Moments(jnp.zeros(1), jnp.ones(1), jnp.int32(0)), jnp.full((8, 1), 100.1), jnp.ones(8)
+    )
+    np.testing.assert_array_equal(moments.std, 1)
+
+
+def test_changes_of_bytes_do_not_wrap():
+    model = supervised(1, 2, SupervisedConfig(hidden=(4,), delta=True, normalise=True))
+    obs = jnp.full((8, 1), 100, jnp.uint8)
+    flags = jnp.zeros(8, bool)
+    down = Transition(obs, jnp.zeros(8, int), jnp.zeros(8), obs - 1, flags, flags, ~flags)
+    hparams = SupervisedHParams()
+    state, _ = model.update(
+        model.init(jax.random.key(0), hparams), down, jax.random.key(1), hparams
+    )
+    np.testing.assert_allclose(state.params.targets.mean, -1)

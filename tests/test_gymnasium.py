@@ -2,6 +2,7 @@
 
 import gymnasium
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -125,3 +126,24 @@ def test_clear_errors():
     world = LearnedEnvironment(ENV, perfect_predict, uniform_start(-0.1, 0.1))
     with pytest.raises(ValueError, match="cannot be rendered"):
         HostEnv(world, ENV.default_params, render_mode="rgb_array")
+
+
+def test_an_action_may_be_of_jax_and_must_be_a_number():
+    env = HostEnv(ENV)
+    env.reset(seed=0)
+    env.step(jnp.int32(1))
+    with pytest.raises(ValueError, match="is not in Discrete"):
+        env.step(True)
+
+
+def test_after_the_end_nothing_is_paid_and_gymnasium_warns():
+    env = HostEnv(ENV, ENV.default_params.replace(max_steps=1))
+    env.reset(seed=0)
+    obs, reward, *end, _ = env.step(0)
+    assert reward == 1 and end == [False, True]
+    with pytest.warns(UserWarning, match="after the end"):
+        again, reward, *still, _ = env.step(0)
+    assert reward == 0 and still == end
+    np.testing.assert_array_equal(again, obs)
+    env.reset(seed=0)
+    assert env.step(0)[1] == 1

@@ -26,6 +26,11 @@ def test_standardise_ignores_padding_and_survives_equal_values():
     ours = standardise(jnp.array([1.0, 2.0, 3.0, 99.0]), mask)
     np.testing.assert_allclose(ours, [-np.sqrt(1.5), 0, np.sqrt(1.5), 0], rtol=1e-5)
     np.testing.assert_array_equal(standardise(jnp.full(4, 7.0), mask), np.zeros(4))
+    np.testing.assert_array_equal(
+        standardise(jnp.full(37, 100.1), jnp.ones(37, bool)), np.zeros(37)
+    )
+    far = standardise(1e4 + jnp.array([1.0, 2.0, 3.0, 0.0]), mask)
+    np.testing.assert_allclose(far, [-np.sqrt(1.5), 0, np.sqrt(1.5), 0], rtol=1e-4)
 
 
 def test_policy_gradient():

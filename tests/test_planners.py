@@ -380,3 +380,33 @@ def test_without_mctx_it_says_what_to_install(monkeypatch):
 def test_an_action_that_no_sequence_begins_with_is_not_chosen(temperature):
     worth = mpc._worth(jnp.zeros(8, int), jnp.full(8, 30.0), 2, temperature)
     np.testing.assert_allclose(worth, [30.0, -np.inf], rtol=1e-6)
+
+
+@pytest.mark.parametrize("nothing", [jnp.nan, jnp.inf, -jnp.inf])
+def test_what_is_no_number_is_worst(nothing):
+    """Every sequence that begins with left ends in no number: right is chosen."""
+
+    class Broken(Corridor):
+        def step(self, key, state, action, params):
+            found = super().step(key, state, action, params)
+            return (*found[:2], jnp.where(action == 0, nothing, found[2]), *found[3:])
+
+    obs, state = WORLD.reset(jax.random.key(0), CorridorParams())
+    plan = random_shooting(Broken(), ShootingConfig(candidates=64, horizon=1))
+    keys = jax.random.split(jax.random.key(1), 20)
+    decide = jax.jit(jax.vmap(lambda key: plan(CorridorParams(), obs, state, key).action))
+    assert (decide(keys) == 1).all()
+
+
+def test_a_value_is_not_asked_for_where_the_world_has_ended():
+    """In the tree as in the sequences: what it says there need be no number."""
+    state, params = Place(jnp.int32(CELLS - 2), jnp.int32(0)), CorridorParams(near=0.0)
+
+    def value(obs, state, key):
+        return jnp.where((state.cell == 0) | (state.cell == CELLS - 1), jnp.nan, 0.0)
+
+    decide = jax.jit(
+        lambda key: FEW["muzero"](params, WORLD.see(state), state, key, Guide(value=value))
+    )
+    decision = decide(jax.random.key(0))
+    assert decision.action == 1 and jnp.isfinite(decision.value)

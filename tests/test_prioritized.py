@@ -96,3 +96,13 @@ def test_values_follow_what_is_looked_for():
     near = network.apply(params, stack.at[0, 3, 4, 0].set(1.0))
     np.testing.assert_array_equal(before, far)
     assert (jnp.abs(before - near) > 1e-6).any()
+
+
+@pytest.mark.parametrize("error", [np.nan, np.inf, -np.inf])
+def test_an_error_that_is_no_number_stops_nothing(error):
+    held = ADD(empty(), episodes(2, 4))
+    errors = jnp.ones(8).at[3].set(error)
+    held = REPRIORITISE(held, jnp.arange(8), errors, jnp.ones(8, bool), 1.0)
+    shares, *_ = frequencies(held)
+    expected = np.where(np.arange(8) == 3, 0, 1 / 7)
+    np.testing.assert_allclose(shares[:8], expected, atol=0.01)

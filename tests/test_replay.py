@@ -1,5 +1,7 @@
 """The ring buffer."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -96,3 +98,27 @@ def test_clear_errors():
         ring.add(ring.init(3, jnp.zeros(())), jnp.zeros(2), jnp.ones(2))
     with pytest.raises(AssertionError, match="shape"):
         ring.add(ring.init(9, jnp.zeros(())), jnp.zeros(6), jnp.ones((2, 3), bool))
+
+
+def test_what_is_not_held_comes_as_zeros_even_where_something_lay():
+    buffer = ring.add(
+        ring.init(10, {"x": jnp.int32(0)}), {"x": 50 + jnp.arange(10)}, jnp.ones(10, bool)
+    )
+    buffer = ring.add(replace(buffer, added=jnp.int32(0)), {"x": jnp.array([7])}, jnp.ones(1, bool))
+    assert sorted(DISTINCT(buffer, jax.random.key(0), 4)["x"].tolist()) == [0, 0, 0, 7]
+
+
+def test_any_number_of_items_is_counted():
+    buffer = ring.add(ring.init(7, {"x": jnp.int32(0)}), {"x": jnp.arange(7)}, jnp.ones(7, bool))
+    buffer = replace(buffer, added=jnp.int32(2**31 - 2))
+    for number in (100, 101, 102):
+        buffer = jax.jit(ring.add)(buffer, {"x": jnp.array([number])}, jnp.ones(1, bool))
+    place = (2**31 - 2) % 7
+    held = [100 + (i - place) % 7 if (i - place) % 7 < 3 else i for i in range(7)]
+    assert buffer.size == 7 and buffer.data["x"].tolist() == held
+
+
+def test_floats_are_not_stored_as_bytes_without_a_word():
+    buffer = ring.init(4, {"x": jnp.uint8(0)})
+    with pytest.raises(TypeError, match="holds uint8 and is given float32: let the environment"):
+        ring.add(buffer, {"x": jnp.array([0.5])}, jnp.ones(1, bool))

@@ -27,6 +27,7 @@ from jaxdyna.models import (
     threshold_rule,
     uncertain,
 )
+from jaxdyna.models.environment import as_observed
 from jaxdyna.types import Prediction
 
 PARAMS = ENV.default_params
@@ -191,3 +192,9 @@ def test_clear_errors():
             lambda key: rollout(ENV, lambda obs, key: obs[0], key, PARAMS, 2, num_steps=3),
             jax.random.key(0),
         )
+
+
+def test_predicted_bytes_are_the_nearest():
+    predicted = jnp.array([2.999, -3.0, 300.0, 2.4])
+    np.testing.assert_array_equal(as_observed(predicted, jnp.uint8), [3, 0, 255, 2])
+    np.testing.assert_array_equal(as_observed(predicted, jnp.float32), predicted)

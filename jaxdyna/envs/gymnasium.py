@@ -107,27 +107,36 @@ class HostEnv(gymnasium.Env[np.ndarray, np.int64]):
         self.observation_space = env.observation_space(self.params)
         self.action_space = env.action_space(self.params)
         self._state: Any = None
+        self._end: tuple[np.ndarray, bool, bool] | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Starts an episode; ``seed`` makes it and all that follows reproducible."""
         super().reset(seed=seed)
         obs, self._state = _reset(self.env, self.params, _draw_seeds(self.np_random, 1)[0])
+        self._end = None
         return np.array(obs), {}
 
     def step(self, action: np.int64):
-        """Plays one step.
+        """Plays one step. After the end of an episode nothing moves and nothing is paid, and
+        Gymnasium warns.
 
         Raises:
             ValueError: before a reset, or where the action is none of the action space.
         """
         if self._state is None:
             raise ValueError("step before reset: call reset() first")
+        action = np.asarray(action)
         if not self.action_space.contains(action):
             raise ValueError(f"action {action!r} is not in {self.action_space}")
+        if self._end is not None:
+            gymnasium.logger.warn("step after the end of the episode: call reset() first")
+            return self._end[0].copy(), 0.0, *self._end[1:], {}
         seed = _draw_seeds(self.np_random, 1)[0]
         obs, self._state, reward, terminated, truncated, info = _step(
             self.env, self.params, seed, self._state, jnp.asarray(action)
         )
+        if terminated or truncated:
+            self._end = (np.array(obs), bool(terminated), bool(truncated))
         return np.array(obs), float(reward), bool(terminated), bool(truncated), _arrays(info)
 
     def render(self) -> np.ndarray | None:

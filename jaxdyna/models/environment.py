@@ -48,6 +48,14 @@ class LearnedState:
     time: jax.Array
 
 
+def as_observed(predicted: jax.Array, dtype: Any) -> jax.Array:
+    """A prediction in the type of observations: whole numbers are the nearest in their range."""
+    if not jnp.issubdtype(dtype, jnp.integer):
+        return predicted.astype(dtype)
+    limits = jnp.iinfo(dtype)
+    return jnp.clip(jnp.round(predicted), limits.min, limits.max).astype(dtype)
+
+
 def threshold_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
     """Terminates where the predicted probability exceeds `DreamHParams.termination_threshold`, and
     where the model is more uncertain than ``uncertainty_threshold``: what is not known is as bad as
@@ -129,7 +137,7 @@ class LearnedEnvironment:
         """One predicted step; ``info["prediction"]`` is the whole `Prediction`."""
         key_predict, key_end = jax.random.split(key)
         prediction = self.predict(params.model, state.obs, action, key_predict)
-        next_obs = prediction.next_obs.astype(state.obs.dtype)
+        next_obs = as_observed(prediction.next_obs, state.obs.dtype)
         state = LearnedState(next_obs, state.time + 1)
         terminated = self.terminates(prediction, params, key_end)
         truncated = (state.time >= params.max_steps) | self.truncates(prediction, params)

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.models.environment import as_observed
 from jaxdyna.types import Key, Prediction, Transition
 
 HALF = 127
@@ -52,7 +53,7 @@ def open_loop(
         obs, key = carry
         key, key_predict = jax.random.split(key)
         prediction = predict(params, obs, action, key_predict)
-        return (prediction.next_obs.astype(obs.dtype), key), prediction
+        return (as_observed(prediction.next_obs, obs.dtype), key), prediction
 
     _, predictions = jax.lax.scan(step, (obs, key), action)
     return predictions
@@ -71,7 +72,8 @@ def one_step_sums(predict: Predict) -> Callable[[Any, Transition, Key], dict[str
     def diagnose(params: Any, transitions: Transition, key: Key) -> dict[str, jax.Array]:
         prediction = one_step(predict, params, transitions, key)
         valid = transitions.mask
-        target, change = transitions.next_obs, transitions.next_obs - transitions.obs
+        obs, target = (seen.astype(jnp.float32) for seen in (transitions.obs, transitions.next_obs))
+        change = target - obs
 
         def total(values):
             return jnp.where(valid[..., None], values, 0).sum((0, 1))

@@ -68,19 +68,20 @@ class Moments:
 
     Attributes:
         mean: ``[n]``.
-        square: running mean of squares, ``[n]``.
+        variance: running variance, ``[n]``.
         batches: how many batches went in.
     """
 
     mean: jax.Array
-    square: jax.Array
+    variance: jax.Array
     batches: jax.Array
 
     @property
     def std(self) -> jax.Array:
-        """Standard deviation, at least 1e-3; 1 before the first batch."""
-        variance = jnp.maximum(self.square - jnp.square(self.mean), 1e-6)
-        return jnp.where(self.batches > 0, jnp.sqrt(variance), 1.0)
+        """Standard deviation, 1 of what has none: nothing is known of its scale."""
+        std = jnp.sqrt(self.variance)
+        constant = std <= 8 * jnp.finfo(std.dtype).eps * jnp.abs(self.mean)
+        return jnp.where(constant, 1.0, std)
 
 
 @struct.dataclass
@@ -119,6 +120,7 @@ def supervised(
         return action.astype(jnp.float32)[..., None]
 
     def raw_target(obs: jax.Array, next_obs: jax.Array) -> jax.Array:
+        obs, next_obs = obs.astype(jnp.float32), next_obs.astype(jnp.float32)  # bytes would wrap
         return next_obs - obs if config.delta else next_obs
 
     def member(weights: Any, params: SupervisedParams, obs: jax.Array, action: jax.Array):
@@ -205,12 +207,18 @@ def _resample(key: Key, size: int, members: int) -> jax.Array:
 
 
 def _update_moments(moments: Moments, values: jax.Array, weight: jax.Array) -> Moments:
-    """Takes in one batch ``[B, n]``; the first 200 count alike, later ones move it by 1/200."""
+    """Takes in one batch ``[B, n]``; the first 200 count alike, later ones move it by 1/200. The
+    variances are put together as Chan et al. (1979) do: a mean of squares less the square of the
+    mean would lose all digits far from zero.
+    """
     batches = moments.batches + 1
     rate = 1 / jnp.minimum(batches, 200)
     share = (weight / jnp.maximum(weight.sum(), 1e-6))[:, None]
+    mean = (share * values).sum(0)
+    variance = (share * jnp.square(values - mean)).sum(0)
+    moved = mean - moments.mean
     return Moments(
-        mean=moments.mean + rate * ((share * values).sum(0) - moments.mean),
-        square=moments.square + rate * ((share * jnp.square(values)).sum(0) - moments.square),
+        mean=moments.mean + rate * moved,
+        variance=(1 - rate) * (moments.variance + rate * jnp.square(moved)) + rate * variance,
         batches=batches,
     )

@@ -47,11 +47,14 @@ class SearchConfig:
 
 
 class Node(NamedTuple):
-    """What the tree keeps of a step, each ``[B, ...]``: the last one of an episode that is over."""
+    """What the tree keeps of a step, each ``[B, ...]``: the last one of an episode that is over,
+    by an end of the world where ``ended``.
+    """
 
     obs: jax.Array
     state: Any
     alive: jax.Array
+    ended: jax.Array
 
 
 def gumbel_muzero(env: Environment, config: SearchConfig) -> Planner:
@@ -108,13 +111,13 @@ def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable
             obs, state, reward, terminated, truncated, _ = env.step(
                 key_step, node.state, action, env_params
             )
-            new = Node(obs, state, ~(terminated | truncated))
+            new = Node(obs, state, ~(terminated | truncated), terminated)
             new = jax.tree.map(lambda new, old: jnp.where(node.alive, new, old), new, node)
             output = mctx.RecurrentFnOutput(
                 reward=jnp.where(node.alive, reward, 0.0),
                 discount=jnp.where(node.alive, config.discount * (1.0 - terminated), 1.0),
                 prior_logits=prior(new.obs),
-                value=value(new, key_value),
+                value=jnp.where(new.ended, 0.0, value(new, key_value)),  # which need be no number
             )
             return output, new
 
@@ -123,7 +126,7 @@ def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable
             return jax.vmap(step)(node, action, keys)
 
         key_value, key_search = jax.random.split(key)
-        node = Node(obs, state, jnp.bool_(True))
+        node = Node(obs, state, jnp.bool_(True), jnp.bool_(False))
         root = mctx.RootFnOutput(
             prior_logits=prior(obs), value=value(node, key_value), embedding=node
         )

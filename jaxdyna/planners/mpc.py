@@ -206,13 +206,16 @@ def _first_candidates(num_actions: int, config: ShootingConfig, key: Key) -> jax
 
 
 def _judge(env: Environment, config: ShootingConfig):
-    """Returns ``[candidates]`` of sequences ``[candidates, horizon]``, means over particles."""
+    """Returns ``[candidates]`` of sequences ``[candidates, horizon]``, means over particles; what
+    is not finite is worst.
+    """
 
     def judge(env_params, obs, state, actions, key, value):
         def one(actions, key):
             return score(env, env_params, obs, state, actions, key, config.discount, value)
 
         keys = jax.random.split(key, (actions.shape[0], config.particles))
-        return jax.vmap(jax.vmap(one, (None, 0)))(actions, keys).mean(-1)
+        returns = jax.vmap(jax.vmap(one, (None, 0)))(actions, keys).mean(-1)
+        return jnp.where(jnp.isfinite(returns), returns, -jnp.inf)  # argmax would choose a NaN
 
     return judge

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from jaxdyna.replay.ring import draw
+from jaxdyna.replay.ring import check_type, draw
 from jaxdyna.types import Key, Transition, check_transitions
 
 
@@ -142,6 +142,7 @@ def add(replay: FrameReplay, episodes: Transition, beside: Any = ()) -> FrameRep
 
     Raises:
         AssertionError: where they are no such episodes.
+        TypeError: where a leaf is of another type than what is held.
         ValueError: where more could come at once than the buffer holds.
     """
     check_transitions(episodes, 2)
@@ -159,6 +160,7 @@ def add(replay: FrameReplay, episodes: Transition, beside: Any = ()) -> FrameRep
     slot = jnp.where(mask, number % replay.capacity, replay.capacity)  # out of bounds: dropped
 
     def write(held: jax.Array, new: jax.Array) -> jax.Array:
+        check_type(held, new)
         return held.at[slot].set(new.reshape(-1, *held.shape[1:]), mode="drop")
 
     numbers = replay.episodes_added + jnp.arange(count)

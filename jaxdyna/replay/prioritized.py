@@ -71,5 +71,6 @@ def reprioritise(
     """
     capacity = held.memory.capacity
     slot = jnp.where(which, numbers % capacity, capacity)  # out of bounds: dropped
-    priority = (jnp.abs(errors) + SMALLEST_ERROR) ** exponent
+    errors = jnp.where(jnp.isfinite(errors), jnp.abs(errors), 0.0)  # one would be drawn for ever
+    priority = (errors + SMALLEST_ERROR) ** exponent
     return replace(held, priority=held.priority.at[slot].set(priority, mode="drop"))

@@ -18,7 +18,8 @@ class Replay:
 
     Attributes:
         data: every leaf ``[capacity, ...]``.
-        added: int32, how many items were ever added; item ``i`` lies at ``i % capacity``.
+        added: int32, how many items were added; item ``i`` lies at ``i % capacity``. Once it is
+            full, a multiple of the capacity is left out.
     """
 
     data: PyTree
@@ -62,6 +63,7 @@ def add(replay: Replay, items: PyTree, mask: jax.Array) -> Replay:
 
     Raises:
         AssertionError: where items and mask differ in these axes, or the mask is not bool.
+        TypeError: where a leaf is of another type than what is held.
         ValueError: where more items than ``capacity`` could come at once.
     """
     chex.assert_type(mask, bool)
@@ -76,10 +78,27 @@ def add(replay: Replay, items: PyTree, mask: jax.Array) -> Replay:
     position = jnp.where(mask, position, replay.capacity)  # out of bounds: dropped
 
     def write(held, new):
+        check_type(held, new)
         return held.at[position].set(new.reshape(-1, *held.shape[1:]), mode="drop")
 
     data = jax.tree.map(write, replay.data, items)
-    return Replay(data=data, added=replay.added + mask.sum(dtype=jnp.int32))
+    added = replay.added + mask.sum(dtype=jnp.int32)
+    whole = 2 * replay.capacity  # places and size stay as they are, and the count within int32
+    return Replay(data, jnp.where(added > whole, whole + added % replay.capacity, added))
+
+
+def check_type(held: jax.Array, new: jax.Array) -> None:
+    """Refuses to store floats as whole numbers: frames in [0, 1] would become zeros.
+
+    Raises:
+        TypeError: with what to change.
+    """
+    if not jnp.can_cast(new.dtype, held.dtype, "same_kind"):
+        raise TypeError(
+            f"the replay holds {held.dtype} and is given {new.dtype}: let the environment return "
+            f"{held.dtype} (frames as bytes from 0 to 255), or make the replay of an example of "
+            f"{new.dtype}"
+        )
 
 
 def sample(
@@ -117,8 +136,12 @@ def take(replay: Replay, position: jax.Array) -> PyTree:
 def sample_distinct(replay: Replay, key: Key, count: int) -> PyTree:
     """Draws ``count`` items, none twice; those that it holds less than that come as zeros."""
     ticket = jnp.where(replay.held, jax.random.uniform(key, (replay.capacity,)), -1)
-    _, rows = jax.lax.top_k(ticket, count)
-    return jax.tree.map(lambda leaf: leaf[rows], replay.data)
+    best, rows = jax.lax.top_k(ticket, count)
+
+    def drawn(leaf):
+        return jax.vmap(jnp.where)(best >= 0, leaf[rows], jnp.zeros_like(leaf[rows]))
+
+    return jax.tree.map(drawn, replay.data)
 
 
 def share_weight(held: jax.Array, marked: jax.Array, share: jax.Array | float) -> jax.Array:

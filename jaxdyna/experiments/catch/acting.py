@@ -53,10 +53,10 @@ class CatchOptions(Options):
         dream_steps=9, rare_share=0.5,
     ))  # fmt: skip
     agent: DQNConfig = setting(factory=lambda: DQNConfig(
-        updates=10, fake_updates=40, fake_capacity=10_000, n_step=3,
+        updates=20, fake_updates=40, fake_capacity=10_000, n_step=3,
     ))  # fmt: skip
     hparams: DynaHParams = setting(factory=lambda: DynaHParams(
-        DQNHParams(epsilon_hold=0.0, epsilon_episodes=15.0, discount=0.97, target_rate=0.02),
+        DQNHParams(epsilon_hold=5.0, epsilon_episodes=20.0, discount=0.97, target_rate=0.02),
         PixelHParams(5e-3), CatchParams(),
     ))  # fmt: skip
 
