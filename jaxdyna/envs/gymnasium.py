@@ -125,15 +125,15 @@ class HostEnv(gymnasium.Env[np.ndarray, np.int64]):
         """
         if self._state is None:
             raise ValueError("step before reset: call reset() first")
-        action = np.asarray(action)
-        if not self.action_space.contains(action):
+        chosen: Any = np.asarray(action)  # JAX's numbers too
+        if not self.action_space.contains(chosen):
             raise ValueError(f"action {action!r} is not in {self.action_space}")
         if self._end is not None:
             gymnasium.logger.warn("step after the end of the episode: call reset() first")
             return self._end[0].copy(), 0.0, *self._end[1:], {}
         seed = _draw_seeds(self.np_random, 1)[0]
         obs, self._state, reward, terminated, truncated, info = _step(
-            self.env, self.params, seed, self._state, jnp.asarray(action)
+            self.env, self.params, seed, self._state, jnp.asarray(chosen)
         )
         if terminated or truncated:
             self._end = (np.array(obs), bool(terminated), bool(truncated))
