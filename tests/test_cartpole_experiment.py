@@ -186,6 +186,7 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
         (["--model.hidden", "-3"], "at least 1"),
         (["--model.weight-variance", "-1"], "above 0"),
         (["--block", "0"], "at least 1"),
+        (["--out", ""], "--out is empty: name a folder"),
         (["--dyna.replay-capacity", "7"], "at least one episode of 200 steps"),
         (["--part", "readings", "--episodes", "50"], "lower N or raise"),
         (["--part", "accuracy", "--episodes", "50"], "lower N or raise"),
@@ -209,7 +210,8 @@ def test_a_new_run_sets_the_old_one_aside(tmp_path, capsys):
     play(tmp_path, "--arms", "model_free")
     before = (tmp_path / "results.json").read_bytes()
     play(tmp_path, "--arms", "model_free", "--seed", "5")
-    assert (tmp_path / "previous" / "results.json").read_bytes() == before
+    (kept,) = (tmp_path / "previous").iterdir()
+    assert (kept / "results.json").read_bytes() == before
     assert json.loads((tmp_path / "results.json").read_text())["config"]["seed"] == 5
     (tmp_path / "results.json").write_text("{")
     capsys.readouterr()

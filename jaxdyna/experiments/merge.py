@@ -8,13 +8,14 @@ from pathlib import Path
 
 import tyro
 
-from jaxdyna.experiments.engine import Curves, Experiment, Record, Results, cli, storage
+from jaxdyna.experiments.engine import Curves, Experiment, Record, Results, cli, folders, storage
 from jaxdyna.experiments.engine.experiment import entries
 from jaxdyna.experiments.engine.session import different, recorded, results_of, write_report
 from jaxdyna.experiments.engine.work import SHOWN, joined
 from jaxdyna.fields import setting
 
 PROG = "python -m jaxdyna.experiments.merge"
+WHOSE = ("experiment", "part")
 ALIKE = ("experiment", "part", "preset", "sweep", "source")
 Shards = Mapping[Path, Results]
 
@@ -47,13 +48,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         shards = {folder: storage.read_json(folder / "results.json") for folder in call.folders}
         _check(shards, call.out)
         experiment, record = _merged(shards, f"{PROG} {shlex.join(argv)}", call.out)
-        storage.check_writable(call.out)
+        with folders.held(call.out):
+            folders.claim(call.out, {name: record.results[name] for name in WHOSE}, fresh=False)
+            storage.write_curves(call.out / "curves.npz", record.curves)
+            storage.write_json(call.out / "results.json", record.results)
+            write_report(experiment, record)
     except ValueError as error:
         cli.fail(str(error), PROG)
-    storage.set_aside(call.out)
-    storage.write_curves(call.out / "curves.npz", record.curves)
-    storage.write_json(call.out / "results.json", record.results)
-    write_report(experiment, record)
     print(f"Report: {call.out / 'report.md'}")
     return 0
 

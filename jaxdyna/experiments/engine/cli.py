@@ -19,7 +19,7 @@ from jaxdyna.fields import Leaf, SettingError, setting
 O = TypeVar("O")  # noqa: E741
 NOT_SWEPT = (
     "seeds", "seed", "arms", "out", "episodes", "stop_after_solved", "block", "preset", "quick",
-    "part", "resume", "shard", "sweep",
+    "part", "resume", "fresh", "shard", "sweep",
 )  # fmt: skip
 
 
@@ -32,6 +32,7 @@ class Call:
     quick: bool = setting(False, "a look at everything in minutes")
     out: Path | None = setting(None, "folder for the results")
     resume: bool = setting(False, "go on with the run in that folder, bit for bit")
+    fresh: bool = setting(False, "begin anew where that folder has the unfinished work of a run")
     sweep: tyro.conf.UseAppendAction[tuple[str, ...]] = setting(
         (), "FIELD=V,V,...: each arm with each value of a setting; several make a grid"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+import itertools
 import json
 import shlex
 import shutil
@@ -13,7 +14,7 @@ import time
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from jaxdyna import fields
-from jaxdyna.experiments.engine import cli, storage
+from jaxdyna.experiments.engine import cli, folders, storage
 from jaxdyna.experiments.engine.checkpoint import InputError, Store
 from jaxdyna.experiments.engine.experiment import (
     Entry,
@@ -75,22 +76,25 @@ def main(
         argv = sys.argv[1:]
     argv = list(argv)
     prog = prog or _prog()
-    try:
-        session = prepared(parts, argv, prog)
-        session.begin()
-    except SettingError as error:
-        cli.fail(f"{cli.flag_of(error, argv)} {error.said}", prog)
-    except (ValueError, ImportError) as error:
-        cli.fail(str(error), prog)
-    try:
-        return session.run()
-    except InputError as error:
-        cli.fail(str(error), prog)
+    with ExitStack() as stack:
+        try:
+            session = prepared(parts, argv, prog)
+            session.begin(stack)
+        except SettingError as error:
+            cli.fail(f"{cli.flag_of(error, argv)} {error.said}", prog)
+        except (ValueError, ImportError) as error:
+            cli.fail(str(error), prog)
+        try:
+            return session.run()
+        except InputError as error:
+            cli.fail(str(error), prog)
 
 
 def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str) -> Session:
     """The session that a command line asks for; nothing is played yet."""
     asked = [word for word in argv if word not in ("--help", "-h", "--help-all")]
+    if "--out=" in asked or ("--out", "") in itertools.pairwise(asked):
+        cli.fail("--out is empty: name a folder, . for this one", prog)
     call, rest = cli.read(cli.Call, asked, prog, return_unknown_args=True)
     part = cli.by_name({part.name: part for part in parts}, "part", call.part, prog)
     experiment = part.experiment() if isinstance(part, Study) else part
@@ -114,8 +118,8 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     if of > 1:
         out = out / "parts" / f"{number}-of-{of}"
     return Session(
-        experiment, options, every, call.out or out, command, call.resume, call.shards, sweep,
-        family=parts[0].name,
+        experiment, options, every, call.out or out, command, call.resume, call.fresh, call.shards,
+        sweep, family=parts[0].name,
     )  # fmt: skip
 
 
@@ -136,6 +140,7 @@ class Session:
         out: the folder for the results.
         command: as typed.
         resume: whether to go on with what is there.
+        fresh: whether to drop unfinished work that is there.
         shard: ``(I, N)``.
         sweep: values by dotted path.
         family: the name of the experiment whose part this is.
@@ -147,6 +152,7 @@ class Session:
     out: Path
     command: str
     resume: bool = False
+    fresh: bool = False
     shard: tuple[int, int] = (1, 1)
     sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     family: str = ""
@@ -154,8 +160,9 @@ class Session:
         default_factory=lambda: Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     )
 
-    def begin(self) -> None:
-        """Makes the arms, and takes up what is there or sets it aside.
+    def begin(self, stack: ExitStack) -> None:
+        """Makes the arms, takes the folder, until the stack is closed, for this process alone, and
+        takes up what is there or sets it aside.
 
         Raises:
             ValueError: with what to change.
@@ -169,11 +176,14 @@ class Session:
             raise ValueError("--shard has more parts than there are --seeds: give fewer")
         self.entries = chosen(self.every, self.options.arms)
         self.arms = {entry.name: entry.make() for entry in self.entries}
+        if self.resume and not self.out.is_dir():
+            raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
+        stack.enter_context(folders.held(self.out))
         if self.resume:
             self._take_up()
-        storage.check_writable(self.out)
-        if not self.resume:
-            storage.set_aside(self.out)
+        else:
+            whose = {"experiment": self.family, "part": self.experiment.name}
+            folders.claim(self.out, whose, self.fresh)
         self.checkpoints.mkdir(exist_ok=True)
         storage.write_json(self.checkpoints / "settings.json", self._identity())
 
@@ -200,13 +210,17 @@ class Session:
                 "the same command with --resume goes on."
             )
         if self.curves or self.measured:
-            self._report()
+            try:
+                self._report()
+            except KeyboardInterrupt:
+                code = 130
+                self.console.print("Interrupted. The same command with --resume makes the report.")
         return code
 
     @property
     def checkpoints(self) -> Path:
         """Where they lie until all is finished."""
-        return self.out / "checkpoints"
+        return self.out / folders.CHECKPOINTS
 
     @property
     def seeds(self) -> list[int]:

@@ -4,10 +4,8 @@ made.
 
 import hashlib
 import json
-import os
 import platform
 import resource
-import shutil
 import subprocess
 import sys
 import zipfile
@@ -26,7 +24,6 @@ from jaxdyna.experiments.engine.work import cores
 Curves = Mapping[str, np.ndarray]
 Results = dict[str, Any]
 PACKAGES = ("jax", "jaxlib", "flax", "optax", "numpy", "gymnasium")
-FILES = ("results.json", "curves.npz", "report.md", "*.png", "*.gif")
 PACKAGE = Path(jaxdyna.__file__).parent
 
 
@@ -90,35 +87,6 @@ def write_text(path: Path, text: str) -> None:
     part = path.with_name(path.name + ".part")
     part.write_text(text, encoding="utf-8")
     part.replace(path)
-
-
-def check_writable(folder: Path) -> None:
-    """Makes the folder and tries it, before an hour's work is lost for want of it.
-
-    Raises:
-        ValueError: where it cannot be written to.
-    """
-    probe = folder / f".probe-{os.getpid()}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"")
-        probe.unlink()
-    except OSError as error:
-        raise ValueError(
-            f"cannot write to --out {folder} ({error.strerror}): choose another folder"
-        ) from None
-
-
-def set_aside(out: Path) -> None:
-    """Moves an earlier run's results into the folder ``previous`` and drops its checkpoints."""
-    shutil.rmtree(out / "checkpoints", ignore_errors=True)
-    if not (out / "results.json").exists():
-        return
-    shutil.rmtree(out / "previous", ignore_errors=True)
-    (out / "previous").mkdir()
-    for pattern in FILES:
-        for file in out.glob(pattern):
-            file.rename(out / "previous" / file.name)
 
 
 def provenance(earlier: Results | None = None) -> Results:

@@ -1,0 +1,160 @@
+"""The folder of a run: whose it is, who works in it, and what becomes of an earlier result.
+
+Nothing is moved or removed but what a run of jaxdyna has written: `files` of a record, and the
+checkpoints that lie beside their ``settings.json``.
+"""
+
+import fcntl
+import os
+import re
+import shutil
+import socket
+import subprocess
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from jaxdyna.experiments.engine import storage
+
+LOCK, PREVIOUS, PARTS, CHECKPOINTS = ".lock", "previous", "parts", "checkpoints"
+FIGURE = re.compile(r"!\[[^\]]*\]\(([^()/]+)\)")
+MOVING = ".moving"
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """The folder, made where there is none, for this process alone; the system lets go of the lock
+    however the process ends.
+
+    Raises:
+        ValueError: where it cannot be written to, or another run works in it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = _locked(folder)
+    except OSError as error:
+        raise ValueError(
+            f"cannot write to --out {folder} ({error.strerror}): choose another folder"
+        ) from None
+    try:
+        yield
+    finally:
+        (folder / LOCK).unlink(missing_ok=True)
+        file.close()
+
+
+def _locked(folder: Path) -> Any:
+    while True:
+        file = (folder / LOCK).open("a+")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            holder = file.read().strip() or "another process"
+            file.close()
+            raise ValueError(
+                f"--out {folder} is in use by {holder}: wait for it, or choose another folder"
+            ) from None
+        path = folder / LOCK
+        if path.exists() and path.stat().st_ino == os.fstat(file.fileno()).st_ino:
+            break
+        file.close()  # its holder removed it in between
+    file.truncate(0)
+    file.write(f"process {os.getpid()} on {socket.gethostname()}")
+    file.flush()
+    return file
+
+
+def claim(folder: Path, whose: Mapping[str, str], fresh: bool) -> None:
+    """Makes the folder ready for a run that begins: an earlier result goes into a folder of
+    ``previous``, or where version control has all of it, goes.
+
+    Args:
+        folder: held by this process.
+        whose: ``experiment`` and ``part`` of the run.
+        fresh: whether unfinished work may be dropped.
+
+    Raises:
+        ValueError: where there is what no such run has written, or unfinished work; nothing has
+            been touched then.
+    """
+    begun = storage.read_json(folder / CHECKPOINTS / "settings.json")
+    results = storage.read_json(folder / "results.json")
+    moving = folder / PREVIOUS / MOVING
+    known = [about for about in (begun, results) if about is not None]
+    others = {path.name for path in folder.iterdir()} - {LOCK, PREVIOUS, PARTS}
+    checkpoints = folder / CHECKPOINTS
+    strange = begun is None and checkpoints.exists() and any(checkpoints.iterdir())
+    unknown = others and not known and not moving.exists()
+    if strange or unknown or not all(_is_of(about, whose) for about in known):
+        raise ValueError(
+            f"--out {folder} has files that are not of such a run: choose an empty folder"
+        )
+    if begun is not None and not fresh:
+        raise ValueError(
+            f"--out {folder} has the unfinished work of a run: --resume goes on with it, --fresh "
+            "drops it"
+        )
+    if begun is not None:
+        shutil.rmtree(folder / CHECKPOINTS)
+    if results is not None or moving.exists():
+        _set_aside(folder)
+
+
+def files(folder: Path) -> list[Path]:
+    """What a record in this folder consists of: the figures are those that its report shows;
+    ``results.json``, which tells whose it is, comes last.
+    """
+    report = folder / "report.md"
+    shown = FIGURE.findall(report.read_text(encoding="utf-8")) if report.exists() else []
+    names = dict.fromkeys([*shown, "report.md", "curves.npz", "results.json"])
+    return [folder / name for name in names if (folder / name).is_file()]
+
+
+def _set_aside(folder: Path) -> None:
+    """Moves a record's files, each by a rename, and names their new folder once all are there: a
+    kill in between leaves what the next run moves on.
+    """
+    record = files(folder)
+    if _in_version_control(folder, record):
+        for file in record:
+            file.unlink()
+        return
+    moving = folder / PREVIOUS / MOVING
+    moving.mkdir(parents=True, exist_ok=True)
+    for file in record:
+        file.rename(moving / file.name)
+    stamp = name = datetime.now().strftime("%Y-%m-%d-%H%M%S")
+    number = 1
+    while (folder / PREVIOUS / name).exists():
+        number += 1
+        name = f"{stamp}-{number}"
+    moving.rename(folder / PREVIOUS / name)
+
+
+def _in_version_control(folder: Path, record: list[Path]) -> bool:
+    """Whether git has all of these files as they are."""
+    names = [file.name for file in record]
+
+    def holds(*words: str) -> bool:
+        command = ["git", "-C", str(folder), *words, "--", *names]
+        return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+    try:
+        known = holds("ls-files", "--error-unmatch")
+        return bool(names) and known and holds("diff", "--quiet", "HEAD")
+    except OSError:
+        return False
+
+
+def _is_of(about: Any, whose: Mapping[str, str]) -> bool:
+    """Whether a ``results.json`` or ``settings.json`` is of such a run; before there were parts an
+    experiment's name began with its family's.
+    """
+    if not isinstance(about, dict) or "config" not in about:
+        return False
+    if "part" not in about:
+        return str(about.get("experiment")).startswith(whose["experiment"])
+    return all(about.get(name) == value for name, value in whose.items())
