@@ -103,18 +103,11 @@ class Leaf(NamedTuple):
 
 
 def setting(
-    default: Any = MISSING,
-    help: str = "",
-    *,
-    factory: Callable[[], Any] | Any = MISSING,
-    at_least: float | None = None,
-    above: float | None = None,
-    at_most: float | None = None,
-    below: float | None = None,
-    infinite: bool = False,
-    choices: Sequence[Any] | Mapping[str, Any] = (),
-    everyday: bool = False,
-) -> Any:
+    default: Any = MISSING, help: str = "", *, factory: Callable[[], Any] | Any = MISSING,
+    at_least: float | None = None, above: float | None = None, at_most: float | None = None,
+    below: float | None = None, infinite: bool = False,
+    choices: Sequence[Any] | Mapping[str, Any] = (), everyday: bool = False,
+) -> Any:  # fmt: skip
     """A field of a dataclass of settings.
 
     Args:

@@ -72,13 +72,9 @@ def policy_gradient(
 
 
 def td_error(
-    values: jax.Array,
-    action: jax.Array,
-    reward: jax.Array,
-    discount: jax.Array,
-    next_values: jax.Array,
-    next_choice: jax.Array,
-) -> jax.Array:
+    values: jax.Array, action: jax.Array, reward: jax.Array, discount: jax.Array,
+    next_values: jax.Array, next_choice: jax.Array,
+) -> jax.Array:  # fmt: skip
     """Error of Q-learning, ``reward + discount * Q'(s', argmax_a choice(s', a)) - Q(s, a)``.
 
     Args:
@@ -101,13 +97,9 @@ def td_error(
 
 
 def transition_loss(
-    next_obs: jax.Array,
-    reward: jax.Array,
-    terminated_logit: jax.Array,
-    true_next_obs: jax.Array,
-    true_reward: jax.Array,
-    true_terminated: jax.Array,
-) -> jax.Array:
+    next_obs: jax.Array, reward: jax.Array, terminated_logit: jax.Array, true_next_obs: jax.Array,
+    true_reward: jax.Array, true_terminated: jax.Array,
+) -> jax.Array:  # fmt: skip
     """One term of Eq. 1: squared errors of state and reward plus the cross-entropy of the end.
 
     Args:

@@ -11,10 +11,9 @@ from parts import assert_same
 from tools.pong_trace import Script, play, record, samples, script
 
 from jaxdyna import rollout
-from jaxdyna.envs import CHANNELS, CartPole, GreyFrames, Pong, PongParams
+from jaxdyna.envs import CHANNELS, Pong, PongParams
 from jaxdyna.envs.pong_rules import FIELD, advance, first_state
 from jaxdyna.envs.pong_screen import masks_by_colour
-from jaxdyna.envs.wrappers import grey
 
 TRACE = dict(np.load(Path(__file__).parent / "data" / "pong_trace.npz"))
 BALL = np.stack([TRACE["ball_row"], TRACE["ball_column"]], axis=-1).astype(np.int32)
@@ -353,25 +352,3 @@ def test_serves_go_up_and_down_alike_and_to_the_loser():
 def test_clear_errors(settings, words):
     with pytest.raises(ValueError, match=words):
         Pong(**settings)
-
-
-def test_grey_frames_are_means_over_areas():
-    """As if every pixel were first repeated so often that areas hold whole ones."""
-    frame = np.random.default_rng(0).integers(0, 256, (2, 6, 5, 3), np.uint8)
-    light = frame @ np.array([0.299, 0.587, 0.114])
-    many = light.repeat(4, axis=1).repeat(4, axis=2).reshape(2, 4, 6, 4, 5).mean((2, 4))
-    np.testing.assert_array_equal(grey(jnp.array(frame), 4)[..., 0], np.round(many))
-
-
-def test_grey_pong_shows_the_ball():
-    env = GreyFrames(Pong())
-    params = PARAMS.replace(first_serve_delay=1)
-    first, state = env.reset(jax.random.key(0), params)
-    later, *_ = env.step(jax.random.key(1), state, jnp.int32(0), params)
-    assert first.shape == (84, 84, 1) and len(np.unique(first)) > 3
-    changed = np.argwhere(np.asarray(later != first)[..., 0])
-    assert 0 < len(changed) < 200
-    with pytest.raises(ValueError, match=r"only be made smaller"):
-        GreyFrames(Pong(scale=4))
-    with pytest.raises(ValueError, match="coloured pictures"):
-        GreyFrames(CartPole())

@@ -193,13 +193,9 @@ def _descend(
 
     def loss_fn(params: Any) -> tuple[jax.Array, jax.Array]:
         errors = jax.vmap(td_error)(
-            values(params, batch.first.obs),
-            batch.first.action,
-            hparams.reward_scale * batch.reward,
-            batch.discount,
-            next_target,
-            choice,
-        )
+            values(params, batch.first.obs), batch.first.action,
+            hparams.reward_scale * batch.reward, batch.discount, next_target, choice,
+        )  # fmt: skip
         weight = draws.often**-hparams.importance_exponent
         weight = batch.first.weights * weight / weight.max()
         return (weight * optax.huber_loss(errors)).mean(), errors

@@ -10,12 +10,9 @@ import jax.numpy as jnp
 
 
 def where_needed(
-    phase: jax.Array | bool,
-    needed: jax.Array | bool,
-    axes: tuple[str, ...],
-    work: Callable[[], tuple[Any, dict[str, jax.Array]]],
-    idle: Any,
-) -> tuple[Any, dict[str, jax.Array]]:
+    phase: jax.Array | bool, needed: jax.Array | bool, axes: tuple[str, ...],
+    work: Callable[[], tuple[Any, dict[str, jax.Array]]], idle: Any,
+) -> tuple[Any, dict[str, jax.Array]]:  # fmt: skip
     """What ``work`` returns in this phase and where this run needs it, else ``idle`` and NaN.
 
     Args:

@@ -94,17 +94,12 @@ def first_state(params: PongParams) -> PongState:
     """An empty field; the first serve will go to the opponent."""
     zero = jnp.int32(0)
     return PongState(
-        ball=jnp.array([_ABSENT, 0], jnp.int32),
-        ball_velocity=jnp.array([0, -1], jnp.int32),
-        own=jnp.int32(62),
-        own_target=jnp.float32(63),
-        opponent=jnp.int32(-29),
+        ball=jnp.array([_ABSENT, 0], jnp.int32), ball_velocity=jnp.array([0, -1], jnp.int32),
+        own=jnp.int32(62), own_target=jnp.float32(63), opponent=jnp.int32(-29),
         score=jnp.zeros(2, jnp.int32),
-        wait=jnp.maximum(params.first_serve_delay, 1).astype(jnp.int32),
-        last_action=zero,
-        clock=zero,
-        time=zero,
-    )
+        wait=jnp.maximum(params.first_serve_delay, 1).astype(jnp.int32), last_action=zero,
+        clock=zero, time=zero,
+    )  # fmt: skip
 
 
 def advance(key: Key, state: PongState, action: jax.Array, params: PongParams) -> PongState:
@@ -141,17 +136,11 @@ def advance(key: Key, state: PongState, action: jax.Array, params: PongParams) -
     clock = state.clock + 1
     own, own_target = _move_own(state, action, clock, params)
     return replace(
-        state,
-        ball=ball,
-        ball_velocity=velocity.astype(jnp.int32),
-        own=own,
-        own_target=own_target,
+        state, ball=ball, ball_velocity=velocity.astype(jnp.int32), own=own, own_target=own_target,
         opponent=_move_opponent(state, ball, served, clock, params),
-        score=state.score + jnp.stack([lost, won]),
-        wait=wait,
-        last_action=action.astype(jnp.int32),
+        score=state.score + jnp.stack([lost, won]), wait=wait, last_action=action.astype(jnp.int32),
         clock=clock,
-    )
+    )  # fmt: skip
 
 
 def _bounce(state: PongState, fires: jax.Array) -> jax.Array:

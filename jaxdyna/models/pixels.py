@@ -75,12 +75,9 @@ class PixelState:
 
 
 def pixels(
-    frame_shape: tuple[int, int, int],
-    num_actions: int,
-    config: PixelConfig | None = None,
-    num_frames: int = 4,
-    adversary: Adversary | None = None,
-) -> DynamicsModel:
+    frame_shape: tuple[int, int, int], num_actions: int, config: PixelConfig | None = None,
+    num_frames: int = 4, adversary: Adversary | None = None,
+) -> DynamicsModel:  # fmt: skip
     """A model of worlds that are seen as stacked frames.
 
     Args:
@@ -139,12 +136,9 @@ def pixels(
 
 
 def _learner(
-    module: FrameModel,
-    num_actions: int,
-    channels: int,
-    config: PixelConfig,
+    module: FrameModel, num_actions: int, channels: int, config: PixelConfig,
     adversary: Adversary | None,
-) -> Callable[..., tuple[PixelState, dict[str, jax.Array]]]:
+) -> Callable[..., tuple[PixelState, dict[str, jax.Array]]]:  # fmt: skip
     """The model's ``update``."""
 
     def update(
@@ -162,14 +156,9 @@ def _learner(
         def loss_fn(params):
             variables = {**state.params, "params": params}
             (raw, *outcome), settled = module.apply(
-                variables,
-                _scale(batch.obs),
-                one_hot,
-                truth,
-                True,
-                weight > 0,
+                variables, _scale(batch.obs), one_hot, truth, True, weight > 0,
                 mutable=["batch_stats"],
-            )
+            )  # fmt: skip
             parts = _losses(config, raw, outcome, truth, batch)
             importance = {"reward_loss": config.reward_weight}
             if adversary is not None:

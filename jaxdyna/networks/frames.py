@@ -163,13 +163,9 @@ class FrameModel(nn.Module):
         self.end = nn.Dense(1) if self.terminates else None
 
     def __call__(
-        self,
-        stack: jax.Array,
-        action: jax.Array,
-        next_frame: jax.Array,
-        train: bool,
+        self, stack: jax.Array, action: jax.Array, next_frame: jax.Array, train: bool,
         valid: jax.Array | None = None,
-    ) -> tuple[jax.Array, ...]:
+    ) -> tuple[jax.Array, ...]:  # fmt: skip
         """Raw picture ``[N, H, W, C]``, then as `outcome`."""
         raw, features = self.network(stack, action, train, valid)
         return raw, *self.outcome(features, next_frame)

@@ -221,12 +221,9 @@ class RectangleDynamics(nn.Module):
 
     @nn.compact
     def __call__(
-        self,
-        past: Rectangles,
-        action: jax.Array,
-        settle: Callable[[EdgeOdds, Sequence[int]], Rectangles],
-        key: Key | None = None,
-    ) -> tuple[EdgeOdds, Rectangles, jax.Array]:
+        self, past: Rectangles, action: jax.Array,
+        settle: Callable[[EdgeOdds, Sequence[int]], Rectangles], key: Key | None = None,
+    ) -> tuple[EdgeOdds, Rectangles, jax.Array]:  # fmt: skip
         """What comes next.
 
         Args:

@@ -121,18 +121,11 @@ def init(
     )
     numbers, none = jnp.zeros(capacity, jnp.int32), jnp.int32(0)
     return FrameReplay(
-        frame=frames(capacity),
-        rest=rest,
-        time=numbers,
-        episode=numbers,
-        older=frames(episodes, num_frames - 1),
-        last_frame=frames(episodes),
-        added=none,
-        episodes_added=none,
-        first=jnp.zeros(episodes, jnp.int32),
-        beside=more,
+        frame=frames(capacity), rest=rest, time=numbers, episode=numbers,
+        older=frames(episodes, num_frames - 1), last_frame=frames(episodes), added=none,
+        episodes_added=none, first=jnp.zeros(episodes, jnp.int32), beside=more,
         num_frames=num_frames,
-    )
+    )  # fmt: skip
 
 
 def add(replay: FrameReplay, episodes: Transition, beside: Any = ()) -> FrameReplay:

@@ -166,13 +166,9 @@ class Engine:
     programs: dict[Any, _Program] = field(default_factory=dict)
 
     def play(
-        self,
-        work: Work,
-        runs: Runs,
-        over: Over | None = None,
-        store: Store | None = None,
+        self, work: Work, runs: Runs, over: Over | None = None, store: Store | None = None,
         say: Progress = lambda *_: None,
-    ) -> Played:
+    ) -> Played:  # fmt: skip
         """Plays runs to their ends.
 
         Args:
@@ -314,14 +310,9 @@ class _Block:
     """Runs that are computed together, from their first unit to the end of the last of them."""
 
     def __init__(
-        self,
-        program: _Program,
-        runs: Runs,
-        rows: np.ndarray,
-        over: Over | None,
-        tally: _Tally,
+        self, program: _Program, runs: Runs, rows: np.ndarray, over: Over | None, tally: _Tally,
         stopped: Callable[[], bool],
-    ):
+    ):  # fmt: skip
         self.program, self.work, self.place = program, program.work, program.place
         self.runs, self.over, self.tally, self.stopped = runs, over, tally, stopped
         padded = np.concatenate([rows, np.repeat(rows[:1], self.work.block - len(rows))])
