@@ -187,6 +187,7 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
         (["--model.weight-variance", "-1"], "above 0"),
         (["--block", "0"], "at least 1"),
         (["--out", ""], "--out is empty: name a folder"),
+        (["--arms", "dyna", "dyna"], "--arms names dyna twice"),
         (["--dyna.replay-capacity", "7"], "at least one episode of 200 steps"),
         (["--part", "readings", "--episodes", "50"], "lower N or raise"),
         (["--part", "accuracy", "--episodes", "50"], "lower N or raise"),

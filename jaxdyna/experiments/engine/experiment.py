@@ -219,10 +219,12 @@ def chosen(every: Sequence[Entry], asked: Sequence[str]) -> list[Entry]:
     """The entries that are asked for, by name; all where none is named.
 
     Raises:
-        ValueError: where there is no such arm.
+        ValueError: where there is no such arm, or one is named twice.
     """
     if not asked:
         return list(every)
+    if twice := [name for name in asked if asked.count(name) > 1]:
+        raise ValueError(f"--arms names {twice[0]} twice: name each arm once")
     known = {name for entry in every for name in entry.names[:2]}
     of = {ask: [entry for entry in every if ask in entry.names] for ask in asked}
     if unknown := [ask for ask, found in of.items() if not found]:
