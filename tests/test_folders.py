@@ -84,6 +84,15 @@ def test_unfinished_work_goes_only_where_it_is_said(tmp_path):
     assert tree(tmp_path) == {}
 
 
+@pytest.mark.parametrize("left", [[], ["settings.json.part"]])
+def test_killed_as_it_began_nothing_stands_in_the_way(left, tmp_path):
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / ".lock").write_text("process 7 on earth")
+    for name in left:
+        (tmp_path / "checkpoints" / name).write_text("{")
+    claim(tmp_path, WHOSE, False)
+
+
 def test_no_generation_is_lost_and_what_else_lies_there_stays(tmp_path):
     generations = []
     (tmp_path / "previous").mkdir()

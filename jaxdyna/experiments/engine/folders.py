@@ -84,9 +84,8 @@ def claim(folder: Path, whose: Mapping[str, str], fresh: bool) -> None:
     results = storage.read_json(folder / "results.json")
     moving = folder / PREVIOUS / MOVING
     known = [about for about in (begun, results) if about is not None]
-    others = {path.name for path in folder.iterdir()} - {LOCK, PREVIOUS, PARTS}
-    checkpoints = folder / CHECKPOINTS
-    strange = begun is None and checkpoints.exists() and any(checkpoints.iterdir())
+    others = _names(folder) - {LOCK, PREVIOUS, PARTS, CHECKPOINTS}
+    strange = begun is None and _names(folder / CHECKPOINTS) - {"settings.json.part"}
     unknown = others and not known and not moving.exists()
     if strange or unknown or not all(_is_of(about, whose) for about in known):
         raise ValueError(
@@ -132,6 +131,10 @@ def _set_aside(folder: Path) -> None:
         number += 1
         name = f"{stamp}-{number}"
     moving.rename(folder / PREVIOUS / name)
+
+
+def _names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()} if folder.is_dir() else set()
 
 
 def _in_version_control(folder: Path, record: list[Path]) -> bool:
