@@ -8,7 +8,6 @@ episodes by ``lax.scan``; the copies of a batch are played by a thread for each 
 from __future__ import annotations
 
 import os
-import pickle
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -149,18 +148,27 @@ def _play_one(saved: np.ndarray, action: int, frames: int) -> tuple[np.ndarray, 
         _here.emulator = atari_emulator("Pong")
         _here.start = _here.emulator.cloneState(include_rng=True)
     ale = _here.emulator
-    ale.restoreState(pickle.loads(saved.tobytes()) if saved.any() else _here.start)
+    ale.restoreState(_unpacked(saved, _here.start) if saved.any() else _here.start)
     buttons = ale.getMinimalActionSet()
     reward = sum(ale.act(buttons[int(action)]) for _ in range(int(frames)))
     return _packed(ale.cloneState(include_rng=True)), ale.getScreenRGB(), reward, ale.game_over()
 
 
 def _packed(state: Any) -> np.ndarray:
-    """A saved emulator as bytes; zeros fill the room."""
-    data = pickle.dumps(state)
-    if len(data) > EMULATOR_BYTES:
+    """A saved emulator as bytes, how many first; no pickle: a checkpoint's could run any code."""
+    data = state.__getstate__()
+    if len(data) > EMULATOR_BYTES - 4:
         raise RuntimeError(f"a saved emulator has {len(data)} bytes, room is for {EMULATOR_BYTES}")
-    return np.frombuffer(data.ljust(EMULATOR_BYTES, b"\0"), np.uint8)
+    sized = np.uint32(len(data)).tobytes() + data
+    return np.frombuffer(sized.ljust(EMULATOR_BYTES, b"\0"), np.uint8)
+
+
+def _unpacked(room: np.ndarray, like: Any) -> Any:
+    size = int(np.frombuffer(room[:4].tobytes(), np.uint32)[0])
+    kind: Any = type(like)
+    state = kind.__new__(kind)
+    state.__setstate__(room[4 : 4 + size].tobytes())
+    return state
 
 
 @cache
