@@ -245,14 +245,16 @@ def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float,
     bootstrap interval over seeds.
     """
 
-    def correlate(rows):
-        ranks = [rankdata(values[:, rows].mean(1)) for values in (left, right)]
-        return np.corrcoef(*ranks)[0, 1] if all(np.ptp(row) > 0 for row in ranks) else 0.0
+    def correlate(draws):
+        ranks = [rankdata(values[:, draws].mean(-1), axis=0) for values in (left, right)]
+        one, other = (each - each.mean(0) for each in ranks)
+        scale = np.sqrt(np.square(one).sum(0) * np.square(other).sum(0))
+        return (one * other).sum(0) / np.where(scale > 0, scale, 1)
 
     seeds = left.shape[1]
     draws = np.random.default_rng(0).integers(0, seeds, (2000, seeds))
-    low, high = np.percentile([correlate(rows) for rows in draws], [2.5, 97.5])
-    return float(correlate(np.arange(seeds))), float(low), float(high)
+    low, high = np.percentile(correlate(draws), [2.5, 97.5])
+    return float(correlate(np.arange(seeds)[None])[0]), float(low), float(high)
 
 
 def _row_means(values: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 
@@ -128,7 +129,7 @@ def test_the_placebo_learns_from_as_many_dreams():
 
 
 def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatch):
-    """Ctrl-C after the second arm's first piece; what is left of it follows on resume."""
+    """SIGTERM after the second arm's first piece; what is left of it follows on resume."""
     played, original = [], Bars.tell
 
     class Watched(Engine):
@@ -139,7 +140,7 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
     def interrupt(self, name, stage, done, over):
         original(self, name, stage, done, over)
         if (name, stage, done) == ("dyna", "running", 50):
-            played[-1].interrupted.set()
+            os.kill(os.getpid(), signal.SIGTERM)
 
     monkeypatch.setattr(session, "Engine", Watched)
     arguments = ["--episodes", str(EPISODES), "--arms", "model_free", "dyna"]
@@ -242,6 +243,7 @@ def test_double_precision(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow  # a study as the next one
 def test_readings_report(tmp_path):
     rows = ["model-free, learning rate 0.01", "true environment as the model"]
     _, text = study("readings", rows, tmp_path)

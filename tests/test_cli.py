@@ -1,6 +1,7 @@
 """What a command line says, up to the first run."""
 
 import importlib
+from dataclasses import replace
 
 import pytest
 
@@ -46,6 +47,50 @@ def test_an_optimiser_is_typed_by_its_name(capsys):
     with pytest.raises(SystemExit):
         cli.parse(tuned, ["--agent.optimizer", "lion"], PROG)
     assert "--agent.optimizer is lion" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (
+            ["--agent.batchs", "3"],
+            "--agent.batchs is the name of no setting: did you mean agent.ba",
+        ),
+        (["--hparams.env.catch-rewrd=3"], "did you mean hparams.env.catch-reward?"),
+        (["--no-agent.doubl"], "--no-agent.doubl is the name of no setting"),
+        (["--agent", "3"], "--agent is several settings: name one of them"),
+        (["--part", "frames", "--preset", "tuned", "--seeds"], "--seeds"),
+    ],
+)
+def test_what_is_misspelt_is_named(words, complaint, capsys):
+    with pytest.raises(SystemExit) as stop:
+        prepared(catch.PARTS, words, PROG)
+    said = capsys.readouterr().err
+    assert stop.value.code == 2 and complaint in said and len(said.splitlines()) == 1
+
+
+def shown(part, capsys, *words):
+    with pytest.raises(SystemExit) as stop:
+        prepared((part,), [*words, "--help"], PROG)
+    assert stop.value.code == 0
+    return capsys.readouterr().out
+
+
+def test_help_lists_the_arms_and_what_is_left_open(capsys):
+    said = shown(catch.CATCH, capsys)
+    for arm in ("model_free", "dyna", "placebo", "oracle", "more_updates", "max_updates"):
+        assert arm in said
+    assert "--quick" in said and "--stop-after-solved  [0]" in said
+    assert "--dyna.replay-capacity  [None]" in shown(catch.CATCH, capsys, "--help-all")
+    assert max(map(len, shown(cartpole.LEVERS, capsys).splitlines())) <= 100
+
+
+def test_quick_is_offered_where_it_changes_something(capsys):
+    bare = replace(catch.CATCH, quick={})
+    assert "--quick" not in shown(bare, capsys)
+    with pytest.raises(SystemExit):
+        prepared((bare,), ["--quick"], PROG)
+    assert "--quick: catch has none: lower --seeds and --episodes" in capsys.readouterr().err
 
 
 def test_every_shard_has_its_own_folder():

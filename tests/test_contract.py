@@ -300,7 +300,10 @@ def test_half_the_weight_moves_a_policy_half_as_far(name, episodes):
         assert np.abs(full).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow) if name == "paper" else name for name in MODELS],
+)
 def test_model_learns_the_world(name, episodes):
     """Full-batch training beats its start, and the better ones the guess of a mean change."""
     model = MODELS[name]

@@ -242,6 +242,7 @@ def test_it_finds_the_goal():
     assert returns[-10:].mean() >= 0.95 * (12 - 2 * (SIZE - 1) + 1)
 
 
+@pytest.mark.slow  # of its parts `test_contract` says that they are right
 def test_it_learns_from_vectors():
     """Catch as bsuite's board, and not as frames."""
     config = DQNConfig(PerceptronQ(3, (32,)), updates=40, n_step=3, capacity=900, drift=0.0)

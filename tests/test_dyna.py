@@ -80,6 +80,7 @@ def test_a_placebo_computes_its_updates_and_discards_them(init):
     assert (metrics["model_loss"] > 0).all() and np.isfinite(metrics["fake_return"][1:]).all()
 
 
+@pytest.mark.slow
 def test_rest_when_safe():
     """After an episode that lasts to its horizon nothing is learned: in blocks, which skip the
     work, as alone, where it is discarded.

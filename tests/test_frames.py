@@ -78,6 +78,7 @@ def test_it_keeps_losses_and_pictures_of_the_first_run(finished):
     }  # fmt: skip
 
 
+@pytest.mark.slow  # as CartPole's
 def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch):
     """Interrupted within a run and between two, then resumed: the same, bit for bit."""
     monkeypatch.setattr(training, "PIECE", 2)

@@ -9,13 +9,23 @@ import pytest
 from jaxdyna.experiments.engine import main
 
 PAGE = Path(__file__).parents[1] / "docs" / "your-own-problem.md"
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+TRAINS = "make_train(dyna"
 
 
 @pytest.fixture(scope="module")
 def copied():
     names = {}
-    exec("\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)), names)
+    exec("\n".join(block for block in BLOCKS if TRAINS not in block), names)
     return names
+
+
+@pytest.mark.slow
+def test_the_trained_model_is_used_from_python(copied, capsys):
+    (block,) = (block for block in BLOCKS if TRAINS in block)
+    exec(block, copied)
+    assert capsys.readouterr().out.splitlines()[-1] == "(8, 5)"
+    assert copied["metrics"]["real_return"].shape == (6,)
 
 
 def test_a_world_of_ones_own_has_a_command(copied, tmp_path):

@@ -161,7 +161,7 @@ def test_the_encoder_decoder_is_symmetric_and_normalised():
     assert raw.shape == (2, 16, 16, 3) and joint.shape == (2, 256)
 
 
-@pytest.mark.parametrize("name", ["local", "coder"])
+@pytest.mark.parametrize("name", ["local", pytest.param("coder", marks=pytest.mark.slow)])
 def test_it_learns_what_it_is_shown(name, episodes):
     """Trained on a few episodes, a model predicts their frames and rewards."""
     config = PixelConfig(

@@ -92,7 +92,9 @@ def sample_rule(prediction, params, key):
     return jax.random.bernoulli(key, prediction.terminated)
 
 
-@pytest.mark.parametrize("rule", [threshold_rule, sample_rule])
+@pytest.mark.parametrize(
+    "rule", [threshold_rule, pytest.param(sample_rule, marks=pytest.mark.slow)]
+)
 def test_a_perfect_model_is_the_true_environment(rule):
     """Same keys, same policy: the wrapped true dynamics give the true rollout: bit for bit where
     every operation runs by itself, to rounding where the compiler fuses the two programs.

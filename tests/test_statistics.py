@@ -106,8 +106,8 @@ def test_ratio_to_an_arm_with_unsolved_seeds_is_an_upper_bound():
 
 def test_rank_correlation():
     error = np.array([[1.0, 1.2], [2.0, 2.2], [3.0, 3.1]])
-    assert rank_correlation(error, 10 * error) == (1.0, 1.0, 1.0)
-    assert rank_correlation(error, -error)[0] == -1.0
+    assert rank_correlation(error, 10 * error) == pytest.approx((1, 1, 1))
+    assert rank_correlation(error, -error)[0] == pytest.approx(-1)
     tied = np.array([[1.0, 1.0], [3.0, 3.0], [3.0, 3.0]])
     assert rank_correlation(error, tied)[0] == rank_correlation(error[[0, 2, 1]], tied)[0]
     np.testing.assert_allclose(rank_correlation(error, tied)[0], np.sqrt(3) / 2)

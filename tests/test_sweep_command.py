@@ -103,6 +103,7 @@ def test_hyper_parameters_are_swept_in_one_program(play):
     assert_rows_are(sweep, rows)
 
 
+@pytest.mark.slow
 def test_what_decides_the_program_is_swept_in_several(play):
     """Bit for bit as alone: the next test says it of a grid."""
     sweep = play("--sweep", f"{DREAMS}=1,3")
@@ -131,7 +132,7 @@ def test_a_grid_is_every_value_with_every_other(play, turned):
     assert len(sweep[0]["timing"]["arms"]) == 2
 
 
-def test_an_interrupted_sweep_is_reported_and_goes_on(play, tmp_path):
+def test_an_interrupted_sweep_is_reported_and_goes_on(play, tmp_path, capsys):
     """Ctrl-C between two programs: of the first value there is a table, and no figure yet."""
     argv = ["--seeds", "3", "--block", "2", "--sweep", f"{DREAMS}=1,3", "--out", str(tmp_path)]
     asked = []
@@ -149,12 +150,17 @@ def test_an_interrupted_sweep_is_reported_and_goes_on(play, tmp_path):
     text = (tmp_path / "report.md").read_text()
     rows = [f"| {label(f'dyna@{DREAMS}={value}')} |" in text for value in (1, 3)]
     assert rows == [True, False]
+    assert f"**Interrupted: dyna@{DREAMS}=3 not finished; --resume goes on.**" in text
+    assert "Means have no interval" in text and f"| `{DREAMS}` | 1 3 |" in text
+    lines = capsys.readouterr().out.splitlines()  # no terminal: a line a stage
+    assert f"dyna@{DREAMS}=1: compiling, 0 of 6" in lines
     assert main(POLE, argv=[*argv, "--resume"], prog="pole") == 0
     ours, whole = np.load(tmp_path / "curves.npz"), play("--sweep", f"{DREAMS}=1,3")[1]
     assert ours.files == whole.files
     for name in ours.files:
         np.testing.assert_array_equal(ours[name], whole[name])
     assert (tmp_path / "sweep.png").exists()
+    assert "Interrupted" not in (tmp_path / "report.md").read_text()
 
 
 @pytest.mark.parametrize(

@@ -95,15 +95,16 @@ def change_error(predict: Predict) -> Callable[[Any, Transition, Key], dict[str,
 
     Returns:
         ``diagnose(params, transitions [N, T], key)`` giving ``model_error``, a scalar: the squared
-        error one step ahead over the mean square of a step's change, averaged over the variables.
-        What does not change, and is predicted so, counts as 0.
+        error one step ahead over the mean square of a step's change, averaged over the variables
+        that change; 0 where none does.
     """
     sums_of = one_step_sums(predict)
 
     def diagnose(params: Any, transitions: Transition, key: Key) -> dict[str, jax.Array]:
         sums = sums_of(params, transitions, key)
-        error, change = sums["state_error"], sums["change_square"]
-        return {"model_error": jnp.where(error == 0, 0, error / change).mean()}
+        error, changes = sums["state_error"], sums["change_square"] > 0
+        each = jnp.where(changes, error / jnp.where(changes, sums["change_square"], 1), 0)
+        return {"model_error": each.sum() / jnp.maximum(changes.sum(), 1)}
 
     return diagnose
 

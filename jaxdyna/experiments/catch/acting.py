@@ -131,7 +131,7 @@ CATCH = Experiment(
     describe=(describe,),
     sections=(
         report.solving(lambda options: RULE),
-        report.learning_curves(lambda options: RULE, window=20),
+        report.learning_curves(lambda options: RULE),
         report.endings(lambda options: RULE),
         report.behaviour(WRONG, 10),
         final, report.arms_said(study.SAID), report.settings, report.spent,

@@ -4,10 +4,12 @@ import ast
 import contextlib
 import dataclasses
 import io
+import re
 import shutil
 import sys
 import textwrap
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar, get_args
 
@@ -77,10 +79,17 @@ def read(kind: type[O], argv: Sequence[str], prog: str, **how: Any) -> Any:
 def parse(default: O, argv: Sequence[str], prog: str) -> O:
     """An experiment's settings: `read`, flags by dotted path, all others as in ``default``."""
     kind: Any = type(default)
+    known = {leaf.path for leaf in _shown(default)}
     for word in argv:
-        if word.startswith("--") and (path := _path(word)) in kind.decided:
-            flag = word.partition("=")[0]
+        flag, path = word.partition("=")[0], _path(word)
+        if word.startswith("--") and path in kind.decided:
             fail(f"{flag} is decided by {kind.decided[path]}: leave it out", prog)
+        if word.startswith("--") and not {path, re.sub(r"(^|\.)no_", r"\1", path)} & known:
+            try:
+                fields.value_at(default, path)
+            except SettingError as error:  # names the closest
+                fail(f"{flag} {error.said.replace('_', '-')}", prog)
+            fail(f"{flag} is several settings: name one of them", prog)
     named = {leaf.path for leaf in _shown(default) if callable(leaf.value)}  # tyro has no flag
     rest, chosen, words = [], {}, iter(argv)
     for word in words:
@@ -138,8 +147,9 @@ def _value(options: Any, leaf: Leaf, text: str) -> Any:
 
 
 def help_text(
-    prog: str, parts: Sequence[str], presets: Sequence[str], default: Any, everything: bool
-) -> str:
+    prog: str, parts: Sequence[str], presets: Sequence[str], arms: Sequence[str], default: Any,
+    everything: bool, hidden: Sequence[str],
+) -> str:  # fmt: skip
     """What ``--help`` shows: the everyday settings; ``--help-all``: every one."""
     width = min(shutil.get_terminal_size((100, 24)).columns, 100)
     lines = [
@@ -150,8 +160,9 @@ def help_text(
     for title, leaves in (("call", list(fields.leaves(Call()))), ("settings", _shown(default))):
         lines += ["", f"{title}:"]
         for leaf in leaves:
-            if leaf.everyday or everything or title == "call":
-                lines += _flag(leaf, width)
+            if leaf.path not in hidden and (leaf.everyday or everything or title == "call"):
+                words = arms if leaf.path == "arms" else ()
+                lines += _flag(leaf, width, words, "" if title == "call" else "None")
     lines += [
         "  --help, --help-all",
         "      this; with all settings" if not everything else "      this",
@@ -168,15 +179,17 @@ def _shown(default: Any) -> list[Leaf]:
     ]
 
 
-def _flag(leaf: Leaf, width: int) -> list[str]:
-    words = [*leaf.choices, *(word for word in get_args(leaf.hint) if isinstance(word, str))]
+def _flag(leaf: Leaf, width: int, words: Sequence[str], none: str) -> list[str]:
+    words = [*words, *leaf.choices, *(one for one in get_args(leaf.hint) if isinstance(one, str))]
     value = fields.plain(leaf.value)
     value = " ".join(map(str, value)) if isinstance(value, list) else value
-    value = "" if value is None or value is False or value == "" else f"  [{value}]"
+    value = none if value is None else value
+    value = "" if value is False or value == "" else f"  [{value}]"
     choice = f" {{{','.join(words)}}}" if words else ""
-    head = f"  --{leaf.path.replace('_', '-')}{choice}{value}"
-    return [head, *textwrap.wrap(leaf.help, width - 6, initial_indent=" " * 6,
-                                 subsequent_indent=" " * 6)]  # fmt: skip
+    head = f"--{leaf.path.replace('_', '-')}{choice}{value}"
+    indented = partial(textwrap.wrap, width=width, subsequent_indent=" " * 6)
+    return [*indented(head, initial_indent="  ", break_on_hyphens=False),
+            *indented(leaf.help, initial_indent=" " * 6)]  # fmt: skip
 
 
 def fail(message: str, prog: str) -> NoReturn:

@@ -40,8 +40,8 @@ class Options:
     seed: int = setting(0, "base seed of all runs", at_least=0, at_most=2**32 - 1, everyday=True)
     episodes: int = setting(1000, "real episodes of a run at the most", at_least=1, everyday=True)
     stop_after_solved: int | None = setting(
-        None, "real episodes that a run plays on once it has solved; None plays all", at_least=0,
-        everyday=True,
+        None, "real episodes that a run plays on, at least, once it has solved; None plays all",
+        at_least=0, everyday=True,
     )  # fmt: skip
     block: int = setting(
         1, "runs computed together; a run's bits depend on this number and on nothing beside it",
@@ -195,9 +195,13 @@ def entries(
     for point, setup in zip(grid, setups, strict=True):
         if other := [path for path in point if fields.value_at(setup, path) != point[path]]:
             raise ValueError(f"--sweep {other[0]}: other settings do not allow {point[other[0]]}")
-    if experiment.rule and len({experiment.rule(setup) for setup in setups}) > 1:
-        said = ", ".join(sweep)
-        raise ValueError(f"--sweep {said}: runs would count as solved by several rules")
+    rules = {experiment.rule(setup): None for setup in setups} if experiment.rule else {}
+    if len(rules) > 1:
+        raise ValueError(
+            f"--sweep {', '.join(sweep)}: runs would count as solved by several rules, and could "
+            "not be compared: play each value by a command of its own, or give the experiment one "
+            "rule, such as a share of what could be had (SolveRule's share_of)"
+        )
     tables = [experiment.arms(setup) for setup in setups]
     study = experiment.study
     for name in dict.fromkeys(name for table in tables for name in table):

@@ -1,5 +1,6 @@
-"""The bars in the terminal: an arm each, what runs and how long is left."""
+"""The bars in the terminal: an arm each, what runs and how long is left; lines elsewhere."""
 
+import time
 from collections.abc import Mapping
 
 from rich.console import Console
@@ -12,9 +13,12 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+MINUTE = 60.0
+
 
 class Bars(Progress):
-    """A bar for each arm, in units of a run.
+    """A bar for each arm, in units of a run; where there is no terminal, a line at each new stage
+    and each minute.
 
     Args:
         console: where they are drawn.
@@ -28,6 +32,7 @@ class Bars(Progress):
             TextColumn("{task.fields[note]}"), console=console, speed_estimate_period=120,
         )  # fmt: skip
         self._runs = {name: runs for name, (_, runs) in totals.items()}
+        self._said: dict[str, tuple[str, float]] = {}
         self._bars = {
             name: self.add_task(name, total=units, note="waiting", start=False)
             for name, (units, _) in totals.items()
@@ -40,6 +45,10 @@ class Bars(Progress):
             self.start_task(bar)
         note = f"{over}/{self._runs[name]} runs over" if stage == "running" else stage
         self.update(bar, completed=done, note=note)
+        before, at = self._said.get(name, ("", 0.0))
+        if not self.console.is_terminal and (stage != before or time.monotonic() > at + MINUTE):
+            self._said[name] = stage, time.monotonic()
+            self.console.print(f"{name}: {note}, {done} of {self.tasks[bar].total:g}")
         if stage == "done":
             self.update(bar, total=max(done, 1))
             self.stop_task(bar)

@@ -6,6 +6,7 @@ import gc
 import importlib
 import itertools
 import json
+import re
 import shlex
 import shutil
 import signal
@@ -48,7 +49,7 @@ from jaxdyna.experiments.engine.work import (
     runs_of,
 )
 from jaxdyna.experiments.report.summaries import compare, describe_arm
-from jaxdyna.experiments.report.tables import paragraphs
+from jaxdyna.experiments.report.tables import label, paragraphs
 from jaxdyna.fields import SettingError
 from jaxdyna.statistics import episodes_to_solve
 
@@ -102,11 +103,17 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     preset = call.preset or next(iter(experiment.presets))
     if len(asked) < len(argv):
         names = [part.name for part in parts]
+        arms = dict.fromkeys(name.partition("@")[0] for name in experiment.arms(default.resolved()))
+        hidden = () if experiment.quick.get(preset) else ("quick",)
         everything = "--help-all" in argv
-        print(cli.help_text(prog, names, [*experiment.presets], default, everything))
+        print(cli.help_text(
+            prog, names, [*experiment.presets], [*arms], default, everything, hidden
+        ))  # fmt: skip
         raise SystemExit(0)
     if call.quick:
-        default = fields.changed(default, {**experiment.quick.get(preset, {}), "quick": True})
+        if not experiment.quick.get(preset):
+            cli.fail(f"--quick: {experiment.name} has none: lower --seeds and --episodes", prog)
+        default = fields.changed(default, {**experiment.quick[preset], "quick": True})
     asked_for = cli.parse(default, rest, prog)
     options = asked_for.resolved()
     sweep = cli.swept(options, call.sweep)
@@ -350,6 +357,8 @@ class Session:
             **made, "runs": runs, "sweep": fields.plain(dict(self.sweep)), "timing": timing,
             **self.measured,
         }  # fmt: skip
+        if missing := [name for name in ordered if name not in self.curves]:
+            about["unfinished"] = missing
         setups = {entry.name: entry.options for entry in self.every}
         self.results = results_of(self.experiment, self.options, setups, self.curves, about)
         storage.write_json(self.out / "results.json", self.results)
@@ -416,7 +425,12 @@ def recorded(results: Results) -> tuple[Experiment, Any, dict[str, list[Any]]]:
 def write_report(experiment: Experiment, record: Record) -> str:
     """Writes ``report.md`` and its figures into the record's folder; returns the text."""
     head = [f"# {experiment.title}", f"`{record.results['command']}`"]
-    text = paragraphs(*head, *(section(record) for section in experiment.sections)) + "\n"
+    if missing := record.results.get("unfinished"):
+        head.append(f"**Interrupted: {', '.join(missing)} not finished; --resume goes on.**")
+    text = paragraphs(*(section(record) for section in experiment.sections))
+    for name in record.results["arms"]:
+        text = re.sub(rf"(?<!\w){re.escape(name)}", label(name), text)  # not the names of files
+    text = paragraphs(*head, text) + "\n"
     storage.write_text(record.out / "report.md", text)
     return text
 
@@ -453,8 +467,8 @@ def different(before: Results, now: Results, prefix: str = "") -> list[str]:
 
 @contextmanager
 def _deferred_interrupt(engine: Engine) -> Iterator[None]:
-    """Ctrl-C lets the pieces in progress end and be saved; a second one interrupts at once. Outside
-    the main thread it does nothing.
+    """Ctrl-C and SIGTERM let the pieces in progress end and be saved; a second one interrupts at
+    once. Outside the main thread they do nothing.
     """
 
     def receive(signum: int, frame: Any) -> None:
@@ -463,7 +477,7 @@ def _deferred_interrupt(engine: Engine) -> Iterator[None]:
         engine.interrupted.set()
 
     try:
-        before = signal.signal(signal.SIGINT, receive)
+        before = {one: signal.signal(one, receive) for one in (signal.SIGINT, signal.SIGTERM)}
     except ValueError:  # not the main thread
         yield
         return
@@ -472,4 +486,5 @@ def _deferred_interrupt(engine: Engine) -> Iterator[None]:
         if engine.interrupted.is_set():
             raise Interrupted
     finally:
-        signal.signal(signal.SIGINT, before)
+        for one, handler in before.items():
+            signal.signal(one, handler)

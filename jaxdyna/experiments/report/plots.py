@@ -33,15 +33,13 @@ FIG5 = {
 
 def learning_curves(
     path: Path, returns: Mapping[str, np.ndarray], threshold: float,
-    solved_at: Mapping[str, np.ndarray], real_first: int, what: str = "return",
-    window: int | None = None,
+    solved_at: Mapping[str, np.ndarray], real_first: int, window: int, what: str = "return",
 ) -> None:  # fmt: skip
     """Figs. 6 and 8: a panel an arm, real return ``[seeds, episodes]``, NaN after a run's own end,
     against real episodes, every seed faintly behind; ``solved_at`` ``[seeds]`` is infinity where
-    unsolved, ``real_first`` N, where dreaming begins, ``what`` the returns are, on the axis,
-    ``window`` episodes in the running mean, by default `smoothing_window`.
+    unsolved, ``real_first`` N, where dreaming begins, ``window`` episodes in the running mean,
+    ``what`` the returns are, on the axis.
     """
-    window = window or smoothing_window(returns.values())
     size = (5.2 * len(returns), 4.2)
     shared: Any = {"sharex": True, "sharey": True, "squeeze": False}
     figure, panels = subplots(1, len(returns), figsize=size, **shared)
@@ -50,7 +48,9 @@ def learning_curves(
         shade, smooth = colour(name), running_mean(values, window)
         numbers = np.arange(1, values.shape[1] + 1)
         panel.plot(numbers, smooth[:50].T, color=shade, alpha=0.18, linewidth=0.7)
-        band(panel, carried(smooth), shade, f"mean of {len(values)} seeds, 95% interval")
+        over = ", of one that is over its last value" if np.isnan(values).any() else ""
+        said = f"mean of {len(values)} seeds{over}; 95% interval"
+        band(panel, carried(smooth), shade, said)
         panel.axhline(threshold, color=MARK, linewidth=1, linestyle="--",
                       label=f"solved: {threshold:g}")  # fmt: skip
         if not name.startswith(("model_free", "max_updates")):
@@ -60,7 +60,7 @@ def learning_curves(
         solved = solved_at[name][np.isfinite(solved_at[name])]
         said = f"{len(solved)}/{len(solved_at[name])} solved"
         said += f", mean after {solved.mean():.0f}" if len(solved) == len(solved_at[name]) else ""
-        finish(panel, f"({letter}) {name}: {said}", "real episodes", legend=False)
+        finish(panel, f"({letter}) {tables.label(name)}: {said}", "real episodes", legend=False)
     panels[0, 0].set_ylabel(f"{what} (running mean of {window} episodes)")
     legend_above(figure, panels.flat)
     save(figure, path)
@@ -97,7 +97,7 @@ def bands(
         for name, values in lines.items():
             shown = carried(running_mean(values, window)) if window else values
             marker = "o" if dots or shown.shape[1] <= FEW else None
-            band(panel, shown, shades[name], name, at, marker=marker,
+            band(panel, shown, shades[name], tables.label(name), at, marker=marker,
                  markersize=5, markevery=(dots or {}).get(name))  # fmt: skip
         panel.set(**axes)
         finish(panel, title, x, legend=False)
@@ -209,8 +209,10 @@ def legend_above(figure: Figure, panels: Iterable[Axes], title: str | None = Non
         for panel in panels
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
     }
-    figure.legend(list(named.values()), list(named), loc="outside upper center", ncols=4,
-                  fontsize=8, frameon=False, title=title, title_fontsize=8)  # fmt: skip
+    fit = int(13 * figure.get_figwidth() / (6 + max(map(len, named), default=0)))
+    figure.legend(list(named.values()), list(named), loc="outside upper center",
+                  ncols=max(1, min(4, fit)), fontsize=8, frameon=False, title=title,
+                  title_fontsize=8)  # fmt: skip
 
 
 def colour(name: str) -> str:
@@ -246,11 +248,6 @@ def swept_map(
         finish(panel, name, columns, rows, legend=False)
         figure.colorbar(picture, ax=panel, label=what)
     save(figure, path)
-
-
-def smoothing_window(curves: Iterable[np.ndarray]) -> int:
-    """Episodes in the running mean of curves ``[seeds, episodes]``: 20 of 1,000, fewer of fewer."""
-    return max(1, min(20, max(values.shape[1] for values in curves) // 50))
 
 
 def subplots(

@@ -11,7 +11,7 @@ from jaxdyna import fields
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.summaries import HELD_EPISODES, comparisons
 from jaxdyna.experiments.report.tables import markdown_table, paragraphs, runs, with_interval
-from jaxdyna.statistics import SolveRule, episodes_to_solve, mean_of_runs
+from jaxdyna.statistics import FEW, SolveRule, episodes_to_solve, mean_of_runs
 
 Section = Callable[[Any], str]
 Rule = Callable[[Any], SolveRule]
@@ -20,8 +20,9 @@ COUNTED = (
     "The rule is the same for all arms and counts every real episode. An unsolved run is never "
     "dropped: it leaves the mean undefined, of which only a lower bound (≥) is then known."
 )
+NONE_OF_FEW = "Means have no interval: of five runs or fewer none can be trusted."
 QUANTILES = (5, 50, 95, 99)
-NOT_SHOWN = ("preset", "quick", "arms", "seeds", "seed")
+NOT_SHOWN = ("preset", "quick", "arms")
 
 
 def told(section: Callable[Concatenate[Any, P], str]) -> Callable[P, Section]:
@@ -48,7 +49,7 @@ def solving(
     said: str = "",
 ) -> str:  # fmt: skip
     """The table of arms and the ratios between them; the paper's own figures beside."""
-    counted, solves = runs(len(record.results["runs"]["seeds"])), str(rule(record.options))
+    count, solves = len(record.results["runs"]["seeds"]), str(rule(record.options))
     header, lines = tables.solve_table(record.results)
     header.append("real steps before: median")
     for line, arm in zip(lines, record.results["arms"].values(), strict=True):
@@ -58,10 +59,22 @@ def solving(
         for line, name in zip(lines, record.results["arms"], strict=True):
             line.insert(1, f"{paper[name]:g}" if name in paper else "-")
     return paragraphs(
-        f"{counted} of each arm. {solves.capitalize()}. {COUNTED} {said}".rstrip(),
-        markdown_table(header, lines),
+        f"{runs(count)} of each arm. {solves.capitalize()}. {COUNTED} {said}".rstrip(),
+        markdown_table(header, lines), "" if count > FEW else NONE_OF_FEW, _never(record),
         *comparisons(record.results, ratio), swept(record),
     )  # fmt: skip
+
+
+def _never(record: Any) -> str:
+    """What to think of where no single episode of any run came up to the rule's threshold."""
+    reached = [arm["first_at_threshold"]["solved"] for arm in record.results["arms"].values()]
+    if any(reached):
+        return ""
+    highest = max(np.nanmax(curves["real_return"]) for curves in record.curves.values())
+    return (
+        "**No episode of any run reached the threshold**; the highest return was "
+        f"{highest:.4g}. Can this world give more?"
+    )
 
 
 @told
@@ -76,7 +89,8 @@ def learning_curves(
         returns[arm] = curves["real_return"] / whole
         at[arm] = episodes_to_solve(solves.score(curves), solves)
     plots.learning_curves(record.out / name, returns, solves.threshold, at,
-                          record.options.dyna.num_real_first, what, window)  # fmt: skip
+                          record.options.dyna.num_real_first, window or min(solves.window, 20),
+                          what)  # fmt: skip
     return paragraphs(f"![{said}]({name})", solved_share(rule)(record))
 
 
@@ -87,11 +101,11 @@ def solved_share(record: Any, rule: Rule) -> str:
         return ""
     solves, solved = rule(record.options), {}
     for name, curves in record.curves.items():
-        first = episodes_to_solve(solves.score(curves), solves) - solves.window + 1
-        known = int(np.isfinite(curves["real_return"]).sum(1).max()) - solves.window + 1
-        solved[name] = (first[:, None] <= np.arange(1, max(known, 1) + 1)).astype(float)
-    plots.bands(record.out / "solved.png", {"": solved}, "first real episode of the solving window",
-                "share of the runs, 95% interval", ylim=(-0.02, 1.02))  # fmt: skip
+        at = episodes_to_solve(solves.score(curves), solves)
+        played = int(np.isfinite(curves["real_return"]).sum(1).max())
+        solved[name] = (at[:, None] <= np.arange(1, played + 1)).astype(float)
+    plots.bands(record.out / "solved.png", {"": solved}, "real episodes",
+                "share of the runs that have solved, 95% interval", ylim=(-0.02, 1.02))  # fmt: skip
     return "![share of the runs that have solved](solved.png)"
 
 
@@ -141,10 +155,8 @@ def swept(record: Any) -> str:
                   for (value,), name in zip(points, names, strict=True)}
             for arm, names in whole.items()
         }  # fmt: skip
-        window = plots.smoothing_window(one for lines in panels.values() for one in lines.values())
-        plots.bands(file, panels, f"real episodes (running mean of {window})",
-                    "return: mean of runs, 95% interval", window=window,
-                    legend=next(iter(sweep)))  # fmt: skip
+        axes = "real episodes (running mean of 20)", "return: mean of runs, 95% interval"
+        plots.bands(file, panels, *axes, window=20, legend=next(iter(sweep)))
     return f"![swept: {', '.join(sweep)}](sweep.png)"
 
 
@@ -167,16 +179,19 @@ def distribution(record: Any) -> str:
 @told
 def endings(record: Any, rule: Rule) -> str:
     """How each arm ended: episodes played, last returns, and whether what was solved held."""
+    solves, stop = rule(record.options), record.options.stop_after_solved
+    short = stop is not None and stop < HELD_EPISODES
     rows = [
-        [name, f"{arm['episodes_played']['mean']:,.0f}", with_interval(arm["final_return"], 1),
-         f"{arm['solved_and_held']}/{arm['final_return']['seeds']}"]
+        [name, f"{arm['episodes_played']['mean']:,.0f}",
+         with_interval(arm["final_return"], 1 if solves.threshold > 10 else 2),
+         "-" if short else f"{arm['solved_and_held']}/{arm['final_return']['seeds']}"]
         for name, arm in record.results["arms"].items()
     ]  # fmt: skip
-    last = f"return of a run's last {rule(record.options).window}: mean (95% interval)"
+    last = f"return of a run's last {solves.window}: mean (95% interval)"
     return paragraphs(
         markdown_table(["arm", "episodes played", last, "solved and held"], rows),
         f"Held: solved, and still so good over the last {HELD_EPISODES} episodes that the run "
-        "played.",
+        "played" + (f" (-: runs end {stop} episodes after they have solved)." if short else "."),
     )
 
 
@@ -221,7 +236,7 @@ def arms_said(record: Any, said: Mapping[str, str]) -> str:
 def settings(record: Any) -> str:
     """Everyday settings, and whatever is not as declared."""
     rows = [
-        [f"`{leaf.path}`", _said(leaf.value), leaf.help]
+        [f"`{leaf.path}`", _said(record.results["sweep"].get(leaf.path, leaf.value)), leaf.help]
         for leaf in fields.leaves(record.options)
         if leaf.path not in (*NOT_SHOWN, *record.options.decided)
         and (leaf.everyday or leaf.default not in (fields.MISSING, leaf.value))

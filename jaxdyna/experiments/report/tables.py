@@ -63,7 +63,7 @@ def solve_table(results: Results, figure: str = "episodes_to_solve") -> Table:
     said, budget = figure.replace("_", " "), results["config"]["episodes"]
     header = ["arm", f"{said} (of {budget:,}): mean (95% interval)", "median", "solved"]
     return header, [
-        [label(name), with_interval(arm[figure]), number(arm[figure], "median"),
+        [name, with_interval(arm[figure]), number(arm[figure], "median"),
          f"{arm[figure]['solved']}/{arm[figure]['seeds']}"]
         for name, arm in results["arms"].items()
     ]  # fmt: skip

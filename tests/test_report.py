@@ -1,0 +1,87 @@
+"""What reports say beside their tables."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from jaxdyna.experiments.engine.experiment import Experiment
+from jaxdyna.experiments.engine.session import write_report
+from jaxdyna.experiments.report import plots
+from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report.summaries import describe_arm
+from jaxdyna.statistics import SolveRule
+
+RULE = SolveRule(2, 1.0)
+RATE = "hparams.agent.learning_rate"
+
+
+def record(out, runs, stop=None, name="dyna", **more):
+    """Runs by their returns, each solved or over at its own end."""
+    length = max(map(len, runs))
+    returns = np.array([[*run, *[np.nan] * (length - len(run))] for run in runs], float)
+    curves = {"real_return": returns, "real_length": np.ones_like(returns)}
+    options = SimpleNamespace(stop_after_solved=stop, episodes=9, dyna=SimpleNamespace(
+        num_real_first=2))  # fmt: skip
+    results = {
+        "runs": {"seeds": list(range(len(runs)))}, "sweep": {}, "config": {"episodes": 9},
+        "arms": {name: describe_arm(curves, RULE, 9)}, "command": f"it --arms {name}",
+    }  # fmt: skip
+    return SimpleNamespace(options=options, results=results | more, curves={name: curves}, out=out)
+
+
+def rule(options):
+    return RULE
+
+
+@pytest.mark.parametrize(("runs", "said"), [(5, True), (6, False)])
+def test_why_there_is_no_interval(runs, said, tmp_path):
+    text = report.solving(rule)(record(tmp_path, [[0, 1, 1 + run] for run in range(runs)]))
+    assert ("Means have no interval" in text) == said
+
+
+def test_a_threshold_that_no_episode_reached_is_told(tmp_path):
+    never = report.solving(rule)(record(tmp_path, [[0, 0.25, 0.5]] * 2))
+    assert "**No episode of any run reached the threshold**; the highest return was 0.5" in never
+    assert "No episode" not in report.solving(rule)(record(tmp_path, [[0, 0, 1]] * 2))
+
+
+def test_what_held_is_told_where_runs_play_on(tmp_path):
+    runs = [[0, 1, 1], [1, 1]]
+    assert "| 2/2 |" not in report.endings(rule)(record(tmp_path, runs, stop=0))
+    assert "(-: runs end 0 episodes after they have solved)" in report.endings(rule)(
+        record(tmp_path, runs, stop=0)
+    )
+    held = [[1] * 60, [1] * 60]
+    assert "| 2/2 |" in report.endings(rule)(record(tmp_path, held))
+
+
+def test_what_was_swept_is_called_by_its_last_word_except_in_commands_and_files(tmp_path):
+    name = f"dyna@{RATE}=0.1"
+    said = Experiment("it", "It", {}, lambda options: {}, sections=(
+        lambda record: f"{name} needs less", lambda record: f"![of {name}](fig_{name}.png)",
+    ))  # fmt: skip
+    lines = write_report(said, record(tmp_path, [[1, 1]], name=name)).splitlines()
+    assert lines[2:] == ["`it --arms dyna@hparams.agent.learning_rate=0.1`", "",
+                         "dyna@learning_rate=0.1 needs less", "",
+                         f"![of dyna@learning_rate=0.1](fig_{name}.png)"]  # fmt: skip
+
+
+def test_the_share_that_has_solved_counts_as_the_table_does(tmp_path, monkeypatch):
+    drawn = {}
+    monkeypatch.setattr(plots, "bands", lambda path, panels, *_, **__: drawn.update(panels[""]))
+    one = record(tmp_path, [[0, 1, 1, 1], [1, 1]])
+    report.solved_share(rule)(one)
+    assert drawn["dyna"].mean(0).tolist() == [0, 0.5, 1, 1]
+    assert one.results["arms"]["dyna"]["episodes_to_solve"]["per_seed"] == [3, 2]
+
+
+def test_a_legend_of_long_names_has_fewer_columns(tmp_path):
+    def columns(names):
+        figure, panel = plots.subplots(figsize=(5.6, 4.0))
+        for name in names:
+            panel.plot([0, 1], label=name)
+        plots.legend_above(figure, [panel])
+        return figure.legends[0]._ncols
+
+    assert columns("abcd") == 4 and columns([f"dyna@{RATE}={n}" for n in range(3)]) == 1
