@@ -141,6 +141,7 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
         original(self, name, stage, done, over)
         if (name, stage, done) == ("dyna", "running", 50):
             os.kill(os.getpid(), signal.SIGTERM)
+            assert played[-1].interrupted.wait(60)
 
     monkeypatch.setattr(session, "Engine", Watched)
     arguments = ["--episodes", str(EPISODES), "--arms", "model_free", "dyna"]
