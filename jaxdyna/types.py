@@ -121,6 +121,10 @@ class Environment(Protocol):
         """The ``gymnasium.spaces`` space of one action."""
 
 
+Act = Callable[[Any, jax.Array, Key, Any], jax.Array]
+Update = Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]]
+
+
 class Agent(NamedTuple):
     """A learner of behaviour, as three pure functions.
 
@@ -138,15 +142,11 @@ class Agent(NamedTuple):
     """
 
     init: Callable[[Key, Any], Any]
-    act: Callable[[Any, jax.Array, Key, Any], jax.Array]
-    update: Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]]
-    act_fake: Callable[[Any, jax.Array, Key, Any], jax.Array] | None = None
-    update_fake: Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]] | None = (
-        None
-    )
-    update_expert: (
-        Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]] | None
-    ) = None
+    act: Act
+    update: Update
+    act_fake: Act | None = None
+    update_fake: Update | None = None
+    update_expert: Update | None = None
 
 
 class Memory(NamedTuple):
@@ -209,4 +209,4 @@ class DynamicsModel(NamedTuple):
 
     init: Callable[[Key, Any], Any]
     predict: Callable[[Any, jax.Array, jax.Array, Key], Prediction]
-    update: Callable[[Any, Transition, Key, Any], tuple[Any, dict[str, jax.Array]]]
+    update: Update

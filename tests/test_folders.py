@@ -55,10 +55,10 @@ def test_a_folder_of_the_users_is_left_alone(name, tmp_path):
         claim(tmp_path, WHOSE, False)  # where earlier results are kept, beside it
         assert (tmp_path / name).read_text() == "the user's"
     else:
-        refused(tmp_path, "not of such a run", fresh=True)
+        refused(tmp_path, "of no such run", fresh=True)
     if name.startswith("checkpoints"):
         record(tmp_path)
-        refused(tmp_path, "not of such a run", fresh=True)
+        refused(tmp_path, "of no such run", fresh=True)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_a_record_of_another_experiment_is_left_alone(whose, tmp_path):
     record(tmp_path, **whose)
     if whose == {"config": None}:
         (tmp_path / "results.json").write_text("[]")
-    refused(tmp_path, "not of such a run")
+    refused(tmp_path, "of no such run")
 
 
 def test_what_is_not_whole_is_left_alone(tmp_path):

@@ -153,7 +153,7 @@ def test_an_interrupted_sweep_is_reported_and_goes_on(play, tmp_path, capsys):
     assert f"**Interrupted: dyna@{DREAMS}=3 not finished; --resume goes on.**" in text
     assert "Means have no interval" in text and f"| `{DREAMS}` | 1 3 |" in text
     lines = capsys.readouterr().out.splitlines()  # no terminal: a line a stage
-    assert f"dyna@{DREAMS}=1: compiling, 0 of 6" in lines
+    assert f"dyna@{DREAMS}=1: compiling" in lines
     assert main(POLE, argv=[*argv, "--resume"], prog="pole") == 0
     ours, whole = np.load(tmp_path / "curves.npz"), play("--sweep", f"{DREAMS}=1,3")[1]
     assert ours.files == whole.files

@@ -19,22 +19,16 @@ class DQNHParams:
     learning_rate: float = setting(
         1e-3, "Learning rate of the values' optimiser.", at_least=0, everyday=True
     )
-    discount: float = setting(
-        0.95, "Discount of the returns.", at_least=0, at_most=1, everyday=True
-    )
+    discount: float = setting(0.95, "Discount of returns.", at_least=0, at_most=1, everyday=True)
     epsilon_first: float = setting(
         1.0, "Share of exploratory actions in the first real episodes.", at_least=0, at_most=1
     )
-    epsilon_last: float = setting(
-        0.0, "Likewise in the end; linear between.", at_least=0, at_most=1
-    )
+    epsilon_last: float = setting(0.0, "Likewise at last; linear between.", at_least=0, at_most=1)
     epsilon_hold: float = setting(
         0.0, "Real episodes for which the share of exploratory actions stays at the first.",
         at_least=0, everyday=True,
     )  # fmt: skip
-    epsilon_episodes: float = setting(
-        20.0, "Real episodes in which it then falls to the last.", at_least=0
-    )
+    epsilon_episodes: float = setting(20.0, "Real episodes in which it then falls.", at_least=0)
     epsilon_fake: float = setting(
         0.3, "Share of exploratory actions in dreams.", at_least=0, at_most=1
     )
@@ -70,9 +64,7 @@ class DQNConfig:
     updates: int = setting(
         200, "Gradient steps of the agent after each real episode.", at_least=0, everyday=True
     )
-    fake_updates: int = setting(
-        200, "Likewise after each batch of dreams.", at_least=0, everyday=True
-    )
+    fake_updates: int = setting(200, "Likewise after a batch of dreams.", at_least=0, everyday=True)
     batch: int = setting(
         32, "Transitions in a gradient step of the agent.", at_least=1, at_most=1_000_000,
         everyday=True,
@@ -115,6 +107,4 @@ class DQNConfig:
     def __post_init__(self) -> None:
         check(self)
         if self.n_step > self.capacity:
-            raise SettingError(
-                "n_step", f"is {self.n_step}: only {self.capacity} transitions are kept"
-            )
+            raise SettingError("n_step", f"is {self.n_step}: only {self.capacity} steps are kept")

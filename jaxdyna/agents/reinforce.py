@@ -64,9 +64,7 @@ class ReinforceHParams:
     learning_rate: float = setting(
         1e-2, "Learning rate of the policy's optimiser.", at_least=0, everyday=True
     )
-    discount: float = setting(
-        0.99, "Discount of the returns.", at_least=0, at_most=1, everyday=True
-    )
+    discount: float = setting(0.99, "Discount of returns.", at_least=0, at_most=1, everyday=True)
 
 
 @dataclass(frozen=True)

@@ -30,9 +30,7 @@ class DynaConfig:
     dream_updates: int = setting(
         1, "Policy updates on dreams after each real episode.", at_least=0, everyday=True
     )
-    dream_episodes: int = setting(
-        2, "Fake episodes in each of those updates.", at_least=1, everyday=True
-    )
+    dream_episodes: int = setting(2, "Fake episodes in each of them.", at_least=1, everyday=True)
     dream_steps: int | None = setting(
         None, "The longest fake episode, in steps; None for as long as a real one.", at_least=1,
         everyday=True,

@@ -33,12 +33,8 @@ class CartPoleParams:
     x_threshold: float = setting(
         2.4, "The cart's distance from the middle beyond which it terminates, m.", above=0
     )
-    reset_bound: float = setting(
-        0.05, "Every state variable starts uniformly within ± this.", at_least=0
-    )
-    max_steps: int = setting(
-        200, "Steps until truncation; 200 is Gym's v0, 500 its v1.", at_least=1
-    )
+    reset_bound: float = setting(0.05, "State variables start uniformly within ± this.", at_least=0)
+    max_steps: int = setting(200, "Steps to truncation; 200 is Gym's v0, 500 its v1.", at_least=1)
 
 
 @struct.dataclass

@@ -25,9 +25,7 @@ class CatchParams:
 
     catch_reward: float = setting(1.0, "Earned when the ball lands on the paddle.")
     miss_reward: float = setting(-1.0, "Earned when it lands beside the paddle.")
-    max_steps: int = setting(
-        9, "Steps until truncation; the ball lands after rows - 1.", at_least=1
-    )
+    max_steps: int = setting(9, "Steps to truncation; the ball lands after rows - 1.", at_least=1)
 
 
 @struct.dataclass

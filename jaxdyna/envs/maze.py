@@ -25,9 +25,7 @@ WAIT = 4
 class MazeParams:
     """What can be swept."""
 
-    collision_reward: float = setting(
-        -5.0, "Earned on a step that ends on a cell with any obstacle."
-    )
+    collision_reward: float = setting(-5.0, "Earned by a step that ends on an obstacle's cell.")
     goal_reward: float = setting(1.0, "Earned on a step that ends on the goal, beside it.")
     max_steps: int = setting(200, "Steps until truncation; nothing terminates.", at_least=1)
 
@@ -84,9 +82,7 @@ class Maze(Pictures):
                 )
         free = self.size**2 - len({self.start_cell, self.goal_cell})
         if self.num_obstacles > free:
-            raise SettingError(
-                "num_obstacles", f"is {self.num_obstacles}: it must lie in 0..{free}"
-            )
+            raise SettingError("num_obstacles", f"is {self.num_obstacles}: it must be in 0..{free}")
 
     @property
     def start_cell(self) -> tuple[int, int]:

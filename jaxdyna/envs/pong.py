@@ -49,9 +49,7 @@ class Pong(Pictures):
         1, "How many of the game's pixels a pixel of the frame is wide and high; a divisor of 160.",
         at_least=1,
     )  # fmt: skip
-    palette: Palette = setting(
-        Palette(), "The colours; CHANNELS gives each object its own channel."
-    )
+    palette: Palette = setting(Palette(), "The colours; CHANNELS gives each object its channel.")
 
     def __post_init__(self) -> None:
         check(self)

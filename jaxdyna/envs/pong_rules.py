@@ -45,13 +45,9 @@ class PongParams:
     )
     max_steps: int = setting(27_000, "Steps until truncation.", at_least=1)
     first_serve_delay: int = setting(59, "Frames until the first serve; 0 counts as 1.", at_least=0)
-    serve_delay: int = setting(
-        63, "Frames from a point to the next serve; 0 counts as 1.", at_least=0
-    )
+    serve_delay: int = setting(63, "Frames from a point to the serve; 0 counts as 1.", at_least=0)
     opponent_speed: int = setting(2, "The opponent's speed, pixels a frame.", at_least=0)
-    opponent_rest: int = setting(
-        8, "The opponent stands still in one frame of so many.", at_least=1
-    )
+    opponent_rest: int = setting(8, "The opponent rests in one frame of so many.", at_least=1)
     paddle_speed: float = setting(
         5.8, "Pixels a frame that the player moves where the own paddle is to go.", at_least=0
     )

@@ -23,9 +23,7 @@ class SearchConfig:
     """What decides the program."""
 
     simulations: int = setting(32, "Nodes that the tree grows by: steps of the world.", at_least=1)
-    max_depth: int | None = setting(
-        None, "Deepest node; None for as many as simulations.", at_least=1
-    )
+    max_depth: int | None = setting(None, "Deepest node; None: as many as simulations.", at_least=1)
     discount: float = setting(0.99, "Discount of the return.", at_least=0, at_most=1)
     considered: int = setting(
         16, "Actions at the root that gumbel_muzero looks at, the likeliest by prior and noise.",

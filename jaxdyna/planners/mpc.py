@@ -55,9 +55,7 @@ class CrossEntropyConfig(ShootingConfig):
     """What decides the program of the cross-entropy method."""
 
     iterations: int = setting(3, "Rounds of so many candidates each.", at_least=1)
-    elites: int = setting(
-        8, "Best candidates of a round that the next one is drawn like.", at_least=1
-    )
+    elites: int = setting(8, "Best candidates of a round, which the next is like.", at_least=1)
     floor: float = setting(
         0.1, "Least probability of an action in the next round, shared by all actions.", above=0,
         at_most=1,
@@ -66,9 +64,7 @@ class CrossEntropyConfig(ShootingConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.elites > self.candidates:
-            raise SettingError(
-                "elites", f"is {self.elites}: there are only {self.candidates} candidates"
-            )
+            raise SettingError("elites", f"is {self.elites}: of only {self.candidates} candidates")
 
 
 def score(

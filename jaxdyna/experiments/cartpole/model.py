@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, Metrics
+from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
 from jaxdyna.envs import CartPole
 from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report.sections import paragraphs
@@ -31,9 +31,7 @@ COMMON = {0.0: 134, 0.3: 133, 1.0: 133}
 DREAMS = {"fake_length": "fake length", "real_length": "real length", "fake_return": "fake return"}
 
 
-def judge(
-    dyna: Dyna, config: DynaConfig, state: DynaState, key: Key, hparams: DynaHParams
-) -> Metrics:
+def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: DynaHParams) -> Metrics:
     """One-step R² on new episodes of the final policy, of the next state ``r2_state`` ``[obs]`` and
     of its change ``r2_change``; nothing without a model.
     """
@@ -52,9 +50,7 @@ def explained(sums: Metrics, kind: str) -> jax.Array:
     )
 
 
-def show(
-    dyna: Dyna, config: DynaConfig, state: DynaState, key: Key, hparams: DynaHParams
-) -> Metrics:
+def show(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: DynaHParams) -> Metrics:
     """Truth and predictions of one episode of the policy and one of a random policy, each
     ``WHO_truth``, ``WHO_one_step``, ``WHO_open_loop`` ``[T, outputs]`` and ``WHO_length``.
     """

@@ -30,11 +30,6 @@ class CartPoleOptions(Options):
         "mcts.considered": EVERY_ACTION, "mcts.gumbel_scale": EVERY_ACTION,
     }  # fmt: skip
 
-    arms: tuple[str, ...] = setting(
-        ("model_free", "dyna"), "what is played: these, the controls placebo and oracle, and "
-        "planners on the learned model: mpc, mcts, mpc_init, mpc_init_dyna, mpc_clone",
-        everyday=True,
-    )  # fmt: skip
     env_version: Literal["v0", "v1"] = setting(
         "v0", "v0: 200 steps, solved at 195; v1: 500 steps, solved at 475", everyday=True
     )
@@ -98,7 +93,7 @@ def rule(options: CartPoleOptions) -> SolveRule:
     return RULES[options.env_version]
 
 
-TUNED = CartPoleOptions(stop_after_solved=100, block=5)
+TUNED = CartPoleOptions(arms=("model_free", "dyna"), stop_after_solved=100, block=5)
 LEAN = changed(TUNED, {
     "preset": "lean", "episodes": 150, "stop_after_solved": None, "block": 1,
     "dyna.num_real_first": 3, "dyna.model_updates": 100, "dyna.model_batch": 32,

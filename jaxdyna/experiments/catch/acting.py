@@ -20,10 +20,6 @@ from jaxdyna.statistics import SolveRule, mean_of_runs
 
 RULE = SolveRule(50, 0.9)
 JUDGED = 200
-WRONG = {
-    "wrong_frames": "share of new frames predicted wrong",
-    "wrong_rewards": "share of new rewards predicted wrong",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,12 +33,6 @@ class CatchOptions(Options):
         "agent.network": "the experiment",
     }
 
-    arms: tuple[str, ...] = setting(("model_free", "dyna"), "what is played", everyday=True)
-    episodes: int = setting(400, "real episodes of a run at the most", at_least=1, everyday=True)
-    stop_after_solved: int | None = setting(
-        0, "real episodes that a run plays on once it has solved; None plays all", at_least=0,
-        everyday=True,
-    )  # fmt: skip
     rows: int = setting(10, "of the board", at_least=3)
     columns: int = setting(5, "of the board", at_least=2)
     widths: tuple[int, ...] = setting((16, 16), "channels of the model's 3x3 convolutions",
@@ -120,7 +110,7 @@ def final(record: Any) -> str:
     )
 
 
-TUNED = CatchOptions()
+TUNED = CatchOptions(arms=("model_free", "dyna"), episodes=400, stop_after_solved=0)
 CATCH = Experiment(
     name="catch",
     title="Catch",
@@ -133,7 +123,7 @@ CATCH = Experiment(
         report.solving(lambda options: RULE),
         report.learning_curves(lambda options: RULE),
         report.endings(lambda options: RULE),
-        report.behaviour(WRONG, 10),
+        report.behaviour(report.WRONG, 10),
         final, report.arms_said(study.SAID), report.settings, report.spent,
     ),
 )  # fmt: skip

@@ -88,9 +88,7 @@ def claim(folder: Path, whose: Mapping[str, str], fresh: bool) -> None:
     strange = begun is None and _names(folder / CHECKPOINTS) - {"settings.json.part"}
     unknown = others and not known and not moving.exists()
     if strange or unknown or not all(_is_of(about, whose) for about in known):
-        raise ValueError(
-            f"--out {folder} has files that are not of such a run: choose an empty folder"
-        )
+        raise ValueError(f"--out {folder} has files of no such run: choose an empty folder")
     if begun is not None and not fresh:
         raise ValueError(
             f"--out {folder} has the unfinished work of a run: --resume goes on with it, --fresh "

@@ -4,14 +4,7 @@ import time
 from collections.abc import Mapping
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import Progress, TextColumn
 
 MINUTE = 60.0
 
@@ -26,11 +19,8 @@ class Bars(Progress):
     """
 
     def __init__(self, console: Console, totals: Mapping[str, tuple[int, int]]):
-        super().__init__(
-            TextColumn("{task.description}"), BarColumn(bar_width=20), MofNCompleteColumn(),
-            TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}"), console=console, speed_estimate_period=120,
-        )  # fmt: skip
+        columns = *self.get_default_columns(), TextColumn("{task.fields[note]}")
+        super().__init__(*columns, console=console, speed_estimate_period=120)
         self._runs = {name: runs for name, (_, runs) in totals.items()}
         self._said: dict[str, tuple[str, float]] = {}
         self._bars = {
@@ -43,12 +33,14 @@ class Bars(Progress):
         bar = self._bars[name]
         if stage == "running" and not self.tasks[bar].started:
             self.start_task(bar)
-        note = f"{over}/{self._runs[name]} runs over" if stage == "running" else stage
+        total = self.tasks[bar].total or 0
+        note = f"{done} of {total:.0f}, {over}/{self._runs[name]} runs over"
+        note = note if stage == "running" else stage
         self.update(bar, completed=done, note=note)
         before, at = self._said.get(name, ("", 0.0))
         if not self.console.is_terminal and (stage != before or time.monotonic() > at + MINUTE):
             self._said[name] = stage, time.monotonic()
-            self.console.print(f"{name}: {note}, {done} of {self.tasks[bar].total:g}")
+            self.console.print(f"{name}: {note}")
         if stage == "done":
             self.update(bar, total=max(done, 1))
             self.stop_task(bar)

@@ -116,6 +116,8 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
         default = fields.changed(default, {**experiment.quick[preset], "quick": True})
     asked_for = cli.parse(default, rest, prog)
     options = asked_for.resolved()
+    if "--arms" in rest and not options.arms:
+        cli.fail("--arms is empty: name arms, or leave it out for all", prog)
     sweep = cli.swept(options, call.sweep)
     every = entries(experiment, asked_for, sweep)
     command = f"{prog} {shlex.join(word for word in argv if word != '--resume')}".strip()

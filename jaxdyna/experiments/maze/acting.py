@@ -22,10 +22,6 @@ RULE = SolveRule(50, 0.95, "oracle_return")
 PAPER = {"model_free": 700.0, "dyna": 250.0}
 PAPER_RATIO = {"dyna": 0.36}
 BEHAVIOUR = {"collisions": "collisions an episode", "time_to_goal": "steps until the goal"}
-WRONG = {
-    "wrong_frames": "share of new frames predicted wrong",
-    "wrong_rewards": "share of new rewards predicted wrong",
-}
 TRAINED = ("dyna", "mpc", "mcts", "mpc_init")
 """Arms with a model that learns."""
 FILMED = (1, 50, 100, 200)
@@ -51,7 +47,7 @@ def describe(options: MazeOptions, curves: Any) -> dict[str, Any]:
     model = {
         wrong: {when: float(last_mean(curves[wrong][:, :end], SMOOTHED).mean())
                 for when, end in spans.items()}
-        for wrong in WRONG if wrong in curves
+        for wrong in report.WRONG if wrong in curves
     }  # fmt: skip
     greedy = {"share": mean_of_runs(share), "collisions": mean_of_runs(hits)}
     return {"greedy": greedy, "model": model}
@@ -160,9 +156,10 @@ MAZE = Experiment(
             said="An episode that never comes to the goal counts as one step more than it has.",
         ),
         report.behaviour(
-            WRONG, SMOOTHED, "model.png", "A frame is predicted wrong where any pixel is, one step "
-            "ahead, and a reward by half a point; each real episode is judged before the model "
-            "learns from it. An untrained model, which is always wrong, is not drawn.", TRAINED,
+            report.WRONG, SMOOTHED, "model.png", "A frame is predicted wrong where any pixel is, "
+            "one step ahead, and a reward by half a point; each real episode is judged before the "
+            "model learns from it. An untrained model, which is always wrong, is not drawn.",
+            TRAINED,
         ),
         model_errors, films, final, report.arms_said(SAID), report.settings,
         lambda record: DIFFERENT, report.spent,

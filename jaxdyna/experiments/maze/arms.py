@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxdyna import losses, networks, planners
 from jaxdyna.agents import CloningConfig, DQNConfig, DQNState, cloning, dqn, q_values, real_memory
-from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, Metrics
+from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
 from jaxdyna.envs import FrameStack, Maze, MazeParams
 from jaxdyna.envs.maze import MOVES
 from jaxdyna.experiments.frames.options import decayed_adam
@@ -158,9 +158,7 @@ def common_transitions(env: FrameStack, steps: int) -> Transition:
     return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *leaf.shape[2:]), played)
 
 
-def judge(
-    dyna: Dyna, config: DynaConfig, state: DynaState, key: Key, hparams: DynaHParams
-) -> Metrics:
+def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: DynaHParams) -> Metrics:
     """The final greedy policy on new starts: ``greedy_return``, ``greedy_oracle``, the most that
     was to be had, and ``greedy_collisions``, each ``[starts]``.
     """

@@ -28,7 +28,6 @@ class MazeOptions(Options):
         "cloning.capacity": "--shown-episodes",
     }  # fmt: skip
 
-    arms: tuple[str, ...] = setting(("model_free", "dyna"), "what is played", everyday=True)
     size: int = setting(16, "cells a side of the board", at_least=2, everyday=True)
     obstacles: int = setting(5, "how many obstacles", at_least=0, everyday=True)
     steps: int = setting(200, "steps of a real episode", at_least=1, everyday=True)
@@ -96,7 +95,7 @@ class MazeOptions(Options):
         })  # fmt: skip
 
 
-TUNED = MazeOptions(episodes=500, stop_after_solved=0)
+TUNED = MazeOptions(arms=("model_free", "dyna"), episodes=500, stop_after_solved=0)
 LEAN = changed(TUNED, {
     "preset": "lean", "network": "glimpse", "episodes": 150, "stop_after_solved": 50,
     "dyna.num_real_first": 15, "dyna.model_updates": 100, "agent.updates": 100,

@@ -30,11 +30,6 @@ class PongOptions(GameOptions):
         "hparams.env.points_to_win": "--steps",
     }
 
-    arms: tuple[str, ...] = setting(MAIN_ARMS, "what is played", everyday=True)
-    episodes: int = setting(200, "real episodes of a run at the most", at_least=1, everyday=True)
-    stop_after_solved: int | None = setting(
-        20, "real episodes played on once solved; None plays all", at_least=0, everyday=True
-    )
     weight_decay: float = setting(0.3, "of AdamW, for our model", at_least=0)
     reward_weight: float = setting(5.0, "of the reward's error in the paper's models", at_least=0)
     paper_rate: float = setting(4e-3, "Adam's in the paper's models and the discriminator", above=0)
@@ -72,7 +67,7 @@ class PongOptions(GameOptions):
         })  # fmt: skip
 
 
-TUNED = PongOptions(dropout=0.2)
+TUNED = PongOptions(arms=MAIN_ARMS, episodes=200, stop_after_solved=20, dropout=0.2)
 SOONER = {"hparams.agent.epsilon_hold": 5.0, "hparams.agent.epsilon_episodes": 10.0}
 LEAN = changed(
     TUNED, SOONER | {"preset": "lean", "arms": ("model_free", "dyna"), "dyna.num_real_first": 5}

@@ -22,6 +22,11 @@ COUNTED = (
 )
 NONE_OF_FEW = "Means have no interval: of five runs or fewer none can be trusted."
 QUANTILES = (5, 50, 95, 99)
+WRONG = {
+    "wrong_frames": "share of new frames predicted wrong",
+    "wrong_rewards": "share of new rewards predicted wrong",
+}
+"""Curves of how wrong a model is one step ahead: `jaxdyna.models.evaluation.frame_errors`."""
 NOT_SHOWN = ("preset", "quick", "arms")
 
 
