@@ -13,7 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiny
 from parts import DYNA, SMALL, hparams
+from renamed import respelled
 
 from jaxdyna.dyna.conditional import where_needed
 from jaxdyna.experiments.engine import Arm, Engine, InputError, Work, checkpoint, runs_of, work
@@ -358,28 +360,36 @@ def test_dyna_is_the_same_in_any_company(tmp_path):
     assert len(engine.programs) == 1
 
 
-CATCH = """
+COMMAND = """
 import sys
-from jaxdyna.experiments.catch import PARTS
 from jaxdyna.experiments.engine import checkpoint, main
-checkpoint.CHECKPOINT_SECONDS = 0.2
-sys.exit(main(*PARTS, prog="python -m jaxdyna.experiments.catch"))
+from jaxdyna.experiments.{world} import PARTS
+checkpoint.CHECKPOINT_SECONDS = 0.1
+sys.exit(main(*PARTS, prog="python -m jaxdyna.experiments.{world}"))
 """
-TINY = [
-    "--arms", "model_free", "dyna", "--rows", "3", "--columns", "2", "--seeds", "3",
-    "--episodes", "400", "--stop-after-solved", "None", "--agent.updates", "1",
-    "--agent.fake-updates", "1", "--agent.batch", "16", "--widths", "2", "--dyna.num-real-first",
-    "3", "--dyna.model-updates", "1", "--dyna.model-batch", "4", "--dyna.dream-episodes", "2",
-]  # fmt: skip
+KILLED = {
+    "catch": [
+        "catch", "--rows", "3", "--columns", "2", "--seeds", "3", "--episodes", "600",
+        "--stop-after-solved", "None", "--agent.updates", "1", "--agent.fake-updates", "1",
+        "--agent.batch", "16", "--widths", "2", "--dyna.num-real-first", "3",
+        "--dyna.model-updates", "1", "--dyna.model-batch", "4", "--dyna.dream-episodes", "2",
+    ],
+    "maze": respelled(["maze", *tiny.MAZE, "--episodes", "300"]),
+    "frames": respelled(["maze", *tiny.MAZE_MODEL, "--lean.updates", "400"]),
+}  # fmt: skip
+ONE = {"catch": "dyna", "maze": "dyna", "frames": "lean"}
 
 
 @pytest.mark.slow
-def test_killed_ten_times_and_resumed_is_uninterrupted(tmp_path):
-    """kill -9 of `python -m jaxdyna.experiments.catch`, at any moment."""
+@pytest.mark.parametrize("name", KILLED)
+def test_killed_ten_times_and_resumed_is_uninterrupted(name, tmp_path):
+    """kill -9 at any moment between the imports and the end."""
+    world, *arguments = KILLED[name]
 
     def play(out, *more, seconds=None):
         """Whether it came to its end before it was killed."""
-        command = [sys.executable, "-c", CATCH, *TINY, "--out", str(out), *more]
+        command = [sys.executable, "-c", COMMAND.format(world=world), *arguments,
+                   "--arms", ONE[name], "--out", str(out), *more]  # fmt: skip
         try:
             subprocess.run(command, capture_output=True, check=True, timeout=seconds)  # kill -9
         except subprocess.TimeoutExpired:
@@ -400,5 +410,5 @@ def test_killed_ten_times_and_resumed_is_uninterrupted(tmp_path):
     assert play(out, "--resume")
     ours, theirs = (np.load(folder / "curves.npz") for folder in (out, tmp_path / "whole"))
     assert ours.files == theirs.files and len(found) > 1
-    for name in ours.files:
-        np.testing.assert_array_equal(ours[name], theirs[name], err_msg=name)
+    for array in ours.files:
+        np.testing.assert_array_equal(ours[array], theirs[array], err_msg=array)
