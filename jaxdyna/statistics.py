@@ -230,15 +230,6 @@ def ratio_of_means(
     }
 
 
-def r_squared(squared_error: Any, total: Any, square: Any, count: Any) -> Any:
-    """The share of the variance explained, ``1 - error / variance`` ``[..., variables]``, from sums
-    over ``count`` transitions ``[...]`` of squared errors, targets and their squares, likewise:
-    arrays of NumPy or JAX.
-    """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return 1 - squared_error / (square - total * total / count[..., None])
-
-
 def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float, float]:
     """Spearman's rank correlation of the means over seeds of two finite quantities, ``[settings,
     seeds]`` of the same seeds, 0 where one is the same in every setting, and the ends of its 95%

@@ -11,7 +11,6 @@ from jaxdyna.statistics import (
     bootstrap_interval,
     episodes_to_solve,
     median_interval,
-    r_squared,
     rank_correlation,
     ratio_of_means,
     steps_before,
@@ -115,12 +114,3 @@ def test_rank_correlation():
     noise = np.array([[1.0, 9.0], [5.0, 5.0], [6.0, 2.0]])
     rank, low, high = rank_correlation(error, noise)
     assert -1 <= low <= rank <= high <= 1 and low < high
-
-
-def test_r_squared_from_sums():
-    target, predicted = np.array([1.0, 2, 3, 4]), np.array([1.0, 2, 3, 3])
-    ours = r_squared(
-        np.array([np.square(predicted - target).sum()]),
-        np.array([target.sum()]), np.array([np.square(target).sum()]), np.float64(4),
-    )  # fmt: skip
-    assert ours == pytest.approx([1 - 1 / 5])

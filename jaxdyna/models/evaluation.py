@@ -61,33 +61,40 @@ def open_loop(
 
 def one_step_sums(predict: Predict) -> Callable[[Any, Transition, Key], dict[str, jax.Array]]:
     """A ``diagnose`` for `jaxdyna.dyna.Dyna`: sums over the valid transitions of real episodes,
-    from which `jaxdyna.statistics.r_squared` and error rates follow for any span of episodes.
+    from which `r_squared` and error rates follow.
 
     Returns:
-        ``diagnose(params, transitions [N, T], key)`` giving ``count``; ``state_error``,
-        ``state_sum``, ``state_square`` (of the next state) and ``change_sum``, ``change_square``
-        (of its change), each ``[obs]``.
+        ``diagnose(params, transitions [N, T], key)`` giving ``count``, ``state_error``,
+        ``state_spread`` and ``change_spread`` (squares about the mean, of the next state and of its
+        change) and ``change_square`` (about 0), each ``[obs]``.
     """
 
     def diagnose(params: Any, transitions: Transition, key: Key) -> dict[str, jax.Array]:
-        prediction = one_step(predict, params, transitions, key)
-        valid = transitions.mask
+        prediction, valid = one_step(predict, params, transitions, key), transitions.mask
         obs, target = (seen.astype(jnp.float32) for seen in (transitions.obs, transitions.next_obs))
-        change = target - obs
 
-        def total(values):
+        def total(values: jax.Array) -> jax.Array:
             return jnp.where(valid[..., None], values, 0).sum((0, 1))
+
+        def spread(values: jax.Array) -> jax.Array:
+            return total(jnp.square(values - total(values) / valid.sum()))
 
         return {
             "count": valid.sum(dtype=jnp.float32),
             "state_error": total(jnp.square(prediction.next_obs - target)),
-            "state_sum": total(target),
-            "state_square": total(jnp.square(target)),
-            "change_sum": total(change),
-            "change_square": total(jnp.square(change)),
+            "state_spread": spread(target),
+            "change_spread": spread(target - obs),
+            "change_square": total(jnp.square(target - obs)),
         }
 
     return diagnose
+
+
+def r_squared(sums: dict[str, jax.Array], kind: str) -> jax.Array:
+    """The share of the variance explained, R² ``[obs]``, of the next ``state`` or of its
+    ``change``, out of `one_step_sums`; not finite for what does not vary.
+    """
+    return 1 - sums["state_error"] / sums[f"{kind}_spread"]
 
 
 def change_error(predict: Predict) -> Callable[[Any, Transition, Key], dict[str, jax.Array]]:

@@ -15,14 +15,13 @@ import numpy as np
 
 from jaxdyna.dyna import DynaConfig, DynaHParams, DynaState, Metrics, make_train, train_model
 from jaxdyna.experiments.cartpole.arms import parts
-from jaxdyna.experiments.cartpole.model import explained
 from jaxdyna.experiments.cartpole.options import TUNED
 from jaxdyna.experiments.engine import Arm, Experiment, Options, Work
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import Curves, by_class
 from jaxdyna.fields import changed, setting
-from jaxdyna.models.evaluation import one_step_sums, open_loop
+from jaxdyna.models.evaluation import one_step_sums, open_loop, r_squared
 from jaxdyna.replay import ring
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Key, Transition
@@ -131,7 +130,7 @@ def _judge(setup: Setup, fitted: list, policies: list, key: Key, episodes: int) 
     sums = jax.vmap(sums_of, (0, None, 0))(models, kinds, keys)
     errors_of = jax.vmap(lambda params, keys: _open_loop_error(predict, params, tests[1], keys))
     errors = errors_of(models, jax.random.split(key_open, (len(SOURCES), episodes)))
-    return {"r2": explained(sums, "change").mean(-1), "open_loop": errors}
+    return {"r2": r_squared(sums, "change").mean(-1), "open_loop": errors}
 
 
 def _open_loop_error(predict: Any, params: Any, episodes: Transition, keys: Key):

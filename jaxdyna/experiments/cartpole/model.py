@@ -13,9 +13,8 @@ from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report.sections import paragraphs
 from jaxdyna.experiments.report.summaries import FIRST_DREAMS, Curves
 from jaxdyna.experiments.report.tables import Results, markdown_table, number, whole
-from jaxdyna.models.evaluation import one_step, one_step_sums, open_loop
+from jaxdyna.models.evaluation import one_step, one_step_sums, open_loop, r_squared
 from jaxdyna.rollout import rollout
-from jaxdyna.statistics import r_squared
 from jaxdyna.types import Key, Transition
 
 STATES = ("cart position", "cart velocity", "pole angle", "pole angular velocity")
@@ -40,14 +39,7 @@ def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: DynaHPa
     key_play, key_judge = jax.random.split(key)
     real = _play(dyna, config, state, key_play, hparams, HELD_OUT_EPISODES)
     sums = one_step_sums(dyna.model.predict)(state.model.params, real, key_judge)
-    return {f"r2_{kind}": explained(sums, kind) for kind in ("state", "change")}
-
-
-def explained(sums: Metrics, kind: str) -> jax.Array:
-    """R² of the next ``state`` or of its ``change``, out of `one_step_sums`."""
-    return r_squared(
-        sums["state_error"], sums[f"{kind}_sum"], sums[f"{kind}_square"], sums["count"]
-    )
+    return {f"r2_{kind}": r_squared(sums, kind) for kind in ("state", "change")}
 
 
 def show(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: DynaHParams) -> Metrics:
