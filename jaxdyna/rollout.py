@@ -46,8 +46,9 @@ def rollout(
         With ``record`` a pair, the other being what was recorded, leaves ``[N, T, ...]``.
 
     Raises:
-        AssertionError: where actions are no integers, or a reward is no scalar.
-        ValueError: where N or T is not positive, or T is left open under a traced ``max_steps``.
+        AssertionError: where actions are no integers.
+        ValueError: where N or T is not positive, T is left open under a traced ``max_steps``, or a
+            step's reward is no scalar.
     """
     if num_steps is None:
         num_steps = _concrete_max_steps(env_params)
@@ -63,6 +64,12 @@ def rollout(
         next_obs, next_state, reward, terminated, truncated, info = env.step(
             key_step, state, action, env_params
         )
+        reward = jnp.asarray(reward, float)
+        if reward.shape:
+            raise ValueError(
+                f"a step of {type(env).__name__} earns an array {reward.shape}: make it a scalar; "
+                "jaxdyna.testing.check_environment finds such faults"
+            )
         kept = record(state, next_state, info) if record else ()
         terminated, truncated = jnp.asarray(terminated, bool), jnp.asarray(truncated, bool)
         truncated = truncated | ((time == num_steps - 1) & ~terminated)

@@ -86,8 +86,7 @@ def check_transitions(transitions: Transition, rank: int | None = None) -> None:
     ends = [transitions.terminated, transitions.truncated]
     chex.assert_rank(mask, mask.ndim if rank is None else rank)
     chex.assert_type(action, int)
-    said = "one number a step: jaxdyna.testing.check_environment says what is wrong with a world"
-    chex.assert_equal_shape([mask, transitions.reward, *ends], custom_message=said)
+    chex.assert_equal_shape([mask, transitions.reward, *ends])
     chex.assert_equal_shape_prefix([mask, action, transitions.obs, transitions.next_obs], mask.ndim)
 
 

@@ -177,13 +177,24 @@ def test_a_swept_horizon_needs_no_second_program():
 def test_an_environment_may_answer_in_plain_python():
     class Endless(CartPole):
         def step(self, key, state, action, params):
-            obs, state, reward, *_ = super().step(key, state, action, params)
-            return obs, state, reward, False, False, {}
+            obs, state, *_ = super().step(key, state, action, params)
+            return obs, state, 3, False, False, {}
 
     real = jax.jit(lambda key: rollout(Endless(), random_act, key, PARAMS, 2, num_steps=30))(
         jax.random.key(0)
     )
     assert real.mask.all() and real.truncated[:, -1].all() and not real.terminated.any()
+    assert real.reward.dtype == jnp.float32 and (real.reward == 3).all()
+
+
+def test_a_reward_that_is_no_scalar_is_told():
+    class Wide(CartPole):
+        def step(self, key, state, action, params):
+            obs, state, reward, *rest = super().step(key, state, action, params)
+            return obs, state, reward[None], *rest
+
+    with pytest.raises(ValueError, match=r"a step of Wide earns an array \(1,\): make it a scalar"):
+        rollout(Wide(), random_act, jax.random.key(0), PARAMS, 2, num_steps=3)
 
 
 def test_clear_errors():
