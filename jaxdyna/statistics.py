@@ -210,7 +210,8 @@ def ratio_of_means(
     Returns:
         ``ratio`` and ``ci95``; ``bound`` is True where unsolved seeds in the denominator stand at
         their lower bound, so that the ratio and its interval are upper bounds. None where an
-        unsolved seed in the numerator, or one without a bound, leaves nothing known.
+        unsolved seed in the numerator, or one without a bound, leaves nothing known, and no
+        interval of five seeds or fewer.
     """
     bound = not np.isfinite(denominator).all()
     denominator = np.where(np.isfinite(denominator), denominator, denominator_at_least)
@@ -221,7 +222,7 @@ def ratio_of_means(
     def means(values):
         return values[generator.integers(0, len(values), (5000, len(values)))].mean(-1)
 
-    several = min(len(numerator), len(denominator)) > 1
+    several = min(len(numerator), len(denominator)) > FEW
     resampled = means(numerator) / means(denominator)
     return {
         "ratio": _plain(numerator.mean() / denominator.mean()),

@@ -48,8 +48,8 @@ def learning_curves(
         shade, smooth = colour(name), running_mean(values, window)
         numbers = np.arange(1, values.shape[1] + 1)
         panel.plot(numbers, smooth[:50].T, color=shade, alpha=0.18, linewidth=0.7)
-        over = ", of one that is over its last value" if np.isnan(values).any() else ""
-        said = f"mean of {len(values)} seeds{over}; 95% interval"
+        over = " (one that is over keeps its last value)" if np.isnan(values).any() else ""
+        said = f"mean of {len(values)} seeds{over}, 95% interval"
         band(panel, carried(smooth), shade, said)
         panel.axhline(threshold, color=MARK, linewidth=1, linestyle="--",
                       label=f"solved: {threshold:g}")  # fmt: skip

@@ -20,7 +20,7 @@ COUNTED = (
     "The rule is the same for all arms and counts every real episode. An unsolved run is never "
     "dropped: it leaves the mean undefined, of which only a lower bound (≥) is then known."
 )
-NONE_OF_FEW = "Means have no interval: of five runs or fewer none can be trusted."
+NONE_OF_FEW = "There are no intervals: of five runs or fewer none can be trusted."
 QUANTILES = (5, 50, 95, 99)
 WRONG = {
     "wrong_frames": "share of new frames predicted wrong",

@@ -89,13 +89,14 @@ def comparison(
         if ratio["ratio"] is None:
             unknown.append(name)
             continue
-        said = f"; the paper's is {paper[name]:.2g}" if name in paper else ""
+        ends = interval(ratio["ci95"], 2)
+        beside = [f"95% interval {ends}"] if ends != "-" else []
+        beside += [f"the paper's is {paper[name]:.2g}"] if name in paper else []
+        said = f" ({'; '.join(beside)})" if beside else ""
         most = "at most " if ratio["bound"] else ""
         why = f", because {baseline} has unsolved runs" if ratio["bound"] else ""
-        lines.append(
-            f"{name} needs {most}**{ratio['ratio']:.2f}** of {baseline}'s {UNITS[figure]}{why} "
-            f"(95% interval {interval(ratio['ci95'], 2)}{said})."
-        )
+        found = f"{name} needs {most}**{ratio['ratio']:.2f}** of {baseline}'s {UNITS[figure]}"
+        lines.append(f"{found}{why}{said}.")
     if unknown:
         arms = ", ".join(unknown)
         lines.append(f"Not all runs of {arms} solved: ratios to {baseline} are unknown.")
