@@ -386,8 +386,10 @@ def test_killed_ten_times_and_resumed_is_uninterrupted(name, tmp_path):
     """kill -9 at any moment between the imports and the end."""
     world, *arguments = KILLED[name]
 
-    def play(out, *more, seconds=None):
-        """Whether it came to its end before it was killed."""
+    def play(out, seconds=None):
+        """Whether it came to its end before it was killed; goes on with what is there."""
+        begun = (out / "checkpoints" / "settings.json").exists() or (out / "results.json").exists()
+        more = ["--resume"] if begun else []
         command = [sys.executable, "-c", COMMAND.format(world=world), *arguments,
                    "--arms", ONE[name], "--out", str(out), *more]  # fmt: skip
         try:
@@ -399,16 +401,20 @@ def test_killed_ten_times_and_resumed_is_uninterrupted(name, tmp_path):
     assert play(tmp_path / "first")  # compiles
     began = time.monotonic()
     assert play(tmp_path / "whole")
-    seconds = time.monotonic() - began
-    random, out, kills, found = np.random.default_rng(0), tmp_path / "killed", 0, set()
-    while kills < 10:
-        begun = (out / "checkpoints" / "settings.json").exists() or (out / "results.json").exists()
-        kills += not play(
-            out, *(["--resume"] if begun else []), seconds=random.uniform(0.3, 0.9) * seconds
-        )
-        found.add(tuple(sorted(path.name for path in out.glob("checkpoints/*/*.npz"))))
-    assert play(out, "--resume")
-    ours, theirs = (np.load(folder / "curves.npz") for folder in (out, tmp_path / "whole"))
-    assert ours.files == theirs.files and len(found) > 1
-    for array in ours.files:
-        np.testing.assert_array_equal(ours[array], theirs[array], err_msg=array)
+    seconds, whole = time.monotonic() - began, np.load(tmp_path / "whole" / "curves.npz")
+    random, kills, found = np.random.default_rng(0), 0, set()
+    for out in map(tmp_path.joinpath, map(str, range(10))):  # a run that ends is begun anew
+        while kills < 10:
+            if play(out, seconds=random.uniform(0.3, 0.9) * seconds):
+                break
+            kills += 1
+            found.add(tuple(sorted(path.name for path in out.glob("checkpoints/*/*.npz"))))
+        else:
+            assert play(out)
+        ours = np.load(out / "curves.npz")
+        assert ours.files == whole.files
+        for array in ours.files:
+            np.testing.assert_array_equal(ours[array], whole[array], err_msg=array)
+        if kills == 10:
+            break
+    assert kills == 10 and len(found) > 1
