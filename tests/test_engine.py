@@ -403,7 +403,7 @@ def test_killed_ten_times_and_resumed_is_uninterrupted(name, tmp_path):
     assert play(tmp_path / "whole")
     seconds, whole = time.monotonic() - began, np.load(tmp_path / "whole" / "curves.npz")
     random, kills, found = np.random.default_rng(0), 0, set()
-    for out in map(tmp_path.joinpath, map(str, range(10))):  # a run that ends is begun anew
+    for out in map(tmp_path.joinpath, map(str, range(30))):  # a run that ends is begun anew
         while kills < 10:
             if play(out, seconds=random.uniform(0.3, 0.9) * seconds):
                 break
