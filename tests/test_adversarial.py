@@ -92,6 +92,32 @@ def test_losses_by_hand():
     np.testing.assert_allclose(discern(jnp.float32(real), jnp.float32(fake)), expected, rtol=1e-6)
 
 
+class Brightness:
+    """Takes bright pictures for true ones."""
+
+    def init(self, key, pictures):
+        return jnp.float32(1)
+
+    def apply(self, params, pictures):
+        return params * pictures.mean((1, 2, 3))
+
+
+@jax.jit
+def judged():
+    """A picture of 1 against one of -2, and another pair that is masked out."""
+    adversary, hparams = discriminator(SHAPE, AdversaryConfig(Brightness())), AdversarialHParams()
+    state = adversary.init(jax.random.key(0), hparams)
+    truth, made = (jnp.ones(SHAPE) * jnp.array([[[[a]]], [[[b]]]]) for a, b in ((1, -9), (-2, 7)))
+    return adversary.update(state, made, truth, jnp.array([1.0, 0.0]), hparams)[1]
+
+
+def test_a_discriminators_loss_by_hand():
+    said = judged()
+    expected = -np.log(1 / (1 + np.exp(-1))) - np.log(1 - 1 / (1 + np.exp(2)))
+    np.testing.assert_allclose(said["discriminator_loss"], expected, rtol=1e-6)
+    assert said["discriminator_accuracy"] == 1
+
+
 @pytest.mark.parametrize(
     "config", [CONFIG, pytest.param(FIG4, marks=pytest.mark.slow)], ids=["local", "fig4"]
 )

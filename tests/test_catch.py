@@ -185,6 +185,19 @@ def test_a_paddle_that_follows_the_ball_catches_all():
     np.testing.assert_array_equal(earned, rewards[:, None].repeat(50, 1))
 
 
+def test_stacks_are_of_the_last_frames():
+    env = FrameStack(Catch(4, 3, frames=True), 2)
+    params, step = env.default_params, jax.jit(env.step)
+    obs, state = jax.jit(env.reset)(jax.random.key(0), params)
+    seen = [obs[..., 3:]]
+    np.testing.assert_array_equal(obs[..., :3], seen[0])
+    for _ in range(3):
+        obs, state, *_ = step(jax.random.key(0), state, jnp.int32(0), params)
+        np.testing.assert_array_equal(obs[..., :3], seen[-1])
+        seen.append(jax.jit(env.env.frame)(state.env))
+        np.testing.assert_array_equal(obs[..., 3:], seen[-1])
+
+
 def test_stacked_frames_suit_a_frame_model():
     env = FrameStack(Catch(frames=True), 2)
     config = PixelConfig(LocalDynamics(3, (4,)), terminates=True)

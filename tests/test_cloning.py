@@ -97,6 +97,12 @@ def test_it_is_the_agent_in_everything_else():
     assert action == AGENT.act(state.agent, obs, jax.random.key(3), ReinforceHParams())
 
 
+def test_whose_episode_it_is_by_hand():
+    """The agent's are the first N = 2, and those after the expert's."""
+    assert Expert(lean_to, 2).plays(np.arange(6), SMALL).tolist() == [0, 0, 1, 1, 0, 0]
+    assert Expert(lean_to).plays(np.arange(6), SMALL).tolist() == [0, 0, 1, 1, 1, 1]
+
+
 TEN = replace(SMALL, num_episodes=10, num_steps=60, dream_updates=0)
 LONGER = hparams(env=ENV.default_params.replace(max_steps=60))
 WITHOUT = DYNA._replace(dream=None, diagnose=None)

@@ -1,6 +1,6 @@
 """Every part of the package keeps the contract (`jaxdyna.testing`), and learners learn."""
 
-from functools import cache
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -51,7 +51,14 @@ from jaxdyna.models import (
     supervised,
     uniform_start,
 )
-from jaxdyna.models.evaluation import one_step, one_step_sums, open_loop, r_squared
+from jaxdyna.models.evaluation import (
+    change_error,
+    frame_errors,
+    one_step,
+    one_step_sums,
+    open_loop,
+    r_squared,
+)
 from jaxdyna.models.supervised import Moments, _update_moments
 from jaxdyna.networks import (
     EncoderDecoder,
@@ -71,7 +78,7 @@ from jaxdyna.planners import (
     random_shooting,
 )
 from jaxdyna.testing import check_agent, check_environment, check_model, check_planner
-from jaxdyna.types import Agent, Transition
+from jaxdyna.types import Agent, Prediction, Transition
 
 SIZE = 8
 FRAME = (SIZE, SIZE, 3)
@@ -331,6 +338,121 @@ def test_model_learns_the_world(name, episodes):
     assert (said.uncertainty > 0) == (name == "ensemble")
 
 
+def saying(said, **changes):
+    """A model of two variables whose members say these things of everything."""
+    config = SupervisedConfig(hidden=(1,), ensemble=len(said), **changes)
+    model = supervised(2, 2, config)
+    state = jax.tree.map(jnp.zeros_like, model.init(jax.random.key(0), SupervisedHParams()))
+    layers = state.params.network["params"]
+    layers = layers | {"Dense_1": layers["Dense_1"] | {"bias": jnp.array(said)}}
+    ones = Moments(jnp.zeros(2), jnp.ones(2), jnp.int32(0))
+    params = state.params.replace(network={"params": layers}, inputs=ones, targets=ones)
+    return model, state.replace(params=params)
+
+
+@jax.jit
+def committee():
+    """Changes of 0, 2 and 4 of the first variable and 1 of the second, in units of two deviations;
+    rewards of 1, 2 and 6; ends with probabilities of 1/2, 1/2 and 3/4.
+    """
+    said = [[0.0, 1, 1, 0], [2.0, 1, 2, 0], [4.0, 1, 6, np.log(3)]]
+    model, state = saying(said, delta=True, normalise=True, spread=2.0)
+    targets = Moments(jnp.array([10.0, 20.0]), jnp.array([9.0, 9.0]), jnp.int32(1))
+    params = state.params.replace(targets=targets)
+    return model.predict(params, jnp.ones(2), jnp.int32(0), jax.random.key(0))
+
+
+def test_what_an_ensemble_says_by_hand():
+    said = committee()
+    np.testing.assert_allclose(said.next_obs, [1 + 10 + 2 * 2 * 3, 1 + 20 + 1 * 2 * 3])
+    np.testing.assert_allclose([said.reward, said.terminated], [3, (0.5 + 0.5 + 0.75) / 3])
+    np.testing.assert_allclose(said.uncertainty, 2 * np.std([0, 2, 4]), rtol=1e-6)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def taught(members, sum_loss, optimizer):
+    """What members that say 0 of everything have learned of five steps, and Adam's count of steps,
+    5 before. The states after are 0 to 4, the rewards 1.
+    """
+    zeros, no = jnp.zeros((members, 4)), jnp.zeros(5, bool)
+    model, state = saying(zeros, sum_loss=sum_loss, optimizer=optimizer)
+    if optimizer is optax.adam:
+        state = state.replace(opt_state=optax.tree.set(state.opt_state, count=jnp.int32(5)))
+    after = jnp.tile(jnp.arange(5.0)[:, None], 2)
+    steps = Transition(0 * after, no.astype(int), jnp.ones(5), after, no, no, ~no)
+    new, _ = model.update(state, steps, jax.random.key(2), SupervisedHParams())
+    count = optax.tree.get(new.opt_state, "count", jnp.int32(0))
+    return new.params.network["params"]["Dense_1"]["bias"], count
+
+
+def test_eq_1_is_summed_over_the_batch():
+    """The step of plain gradient descent, at a rate of 0.01; or averaged, a fifth of it."""
+    step = 0.01 * np.array([2 * (0 + 1 + 2 + 3 + 4)] * 2 + [2 * 5, -0.5 * 5])
+    np.testing.assert_allclose(taught(1, True, optax.sgd)[0][0], step, rtol=1e-5)
+    np.testing.assert_allclose(taught(1, False, optax.sgd)[0][0], step / 5, rtol=1e-5)
+
+
+def test_members_of_an_ensemble_see_resamplings_of_their_own():
+    """Begun alike, they come to differ; each learns of five steps, some of them twice."""
+    learned = np.asarray(taught(3, True, optax.sgd)[0])
+    assert len({row.tobytes() for row in learned}) > 1
+    np.testing.assert_allclose(learned[:, 2], 0.01 * 2 * 5, rtol=1e-5)
+
+
+def test_the_models_optimiser_remembers():
+    """Adam corrects its moments by the number of steps that were made."""
+    assert taught(1, False, optax.adam)[1] == 6
+
+
+@jax.jit
+def reinforced():
+    """The loss of a policy for which both actions are as likely, and its optimiser's count."""
+    agent, hparams = reinforce((4,), 2, ReinforceConfig(hidden=(1,))), ReinforceHParams(0.01, 0.5)
+    state = jax.tree.map(jnp.zeros_like, agent.init(jax.random.key(0), hparams))
+    state = state.replace(opt_state=optax.tree.set(state.opt_state, count=jnp.int32(5)))
+    no = jnp.zeros((1, 4), bool)
+    real = Transition(jnp.zeros((1, 4, 4)), no.astype(int), jnp.ones((1, 4)), jnp.zeros((1, 4, 4)),
+                      no, no, jnp.arange(4)[None] < 3)  # fmt: skip
+    new, metrics = agent.update(state, real, jax.random.key(1), hparams)
+    return metrics["loss"], optax.tree.get(new.opt_state, "count")
+
+
+def test_reinforce_by_hand():
+    """Three steps of 1 at a discount of a half, each of log 2; the fourth is padding."""
+    loss, count = reinforced()
+    np.testing.assert_allclose(loss, (1.75 + 1.5 + 1) * np.log(2), rtol=1e-6)
+    assert count == 6  # by which Adam corrects its moments
+
+
+def fixed(params, obs, action, key):
+    """Predicts that vectors grow by 1, and that frames stay; no reward."""
+    zero = jnp.float32(0)
+    return Prediction(obs if obs.dtype == jnp.uint8 else obs + 1, zero, zero, zero)
+
+
+def two_steps(frames):
+    """And one of padding. The first step changes the frame, the second does not."""
+    vectors = jnp.array([[[0.0], [3.0], [9.0]]]), jnp.array([[[3.0], [4.0], [50.0]]])
+    dark, half = jnp.zeros((1, 3, 1, 2, 1), jnp.uint8), jnp.uint8(200)
+    obs, after = (dark, dark.at[0, ::2].set(half)) if frames else vectors
+    no, reward = jnp.zeros((1, 3), bool), jnp.array([[0.4, -1.0, 5.0]])
+    return Transition(
+        obs, jnp.zeros((1, 3), int), reward, after, no, no, jnp.array([[1, 1, 0]]) > 0
+    )
+
+
+def test_a_model_is_judged_by_hand():
+    def judge(diagnose, frames):
+        return jax.jit(lambda key: diagnose(fixed)(None, two_steps(frames), key))(jax.random.key(0))
+
+    sums = judge(one_step_sums, False)
+    expected = {"count": 2, "state_error": 4, "state_sum": 7, "state_square": 25,
+                "change_sum": 4, "change_square": 10}  # fmt: skip
+    assert {name: float(value.squeeze()) for name, value in sums.items()} == expected
+    np.testing.assert_allclose(judge(change_error, False)["model_error"], 4 / 10)
+    assert judge(frame_errors, True) == {"wrong_frames": 0.5, "wrong_rewards": 0.5}
+
+
 def test_open_loop_feeds_predictions_back(episodes):
     model = MODELS["delta"]
     params = model.init(jax.random.key(0), SupervisedHParams()).params
@@ -387,6 +509,12 @@ def test_moments_far_from_zero():
     np.testing.assert_allclose(moments.std, 1, rtol=0.05)
     halves = take_in(jnp.stack([jnp.zeros((32, 1)), jnp.ones((32, 1))]))
     np.testing.assert_allclose([*halves.mean, *halves.std], 0.5, rtol=1e-6)
+
+
+def test_padding_has_no_moments():
+    still = Moments(jnp.zeros(1), jnp.ones(1), jnp.int32(0))
+    held = _update_moments(still, jnp.array([[2.0], [6.0], [99.0]]), jnp.array([1.0, 1.0, 0.0]))
+    np.testing.assert_allclose([held.mean[0], held.std[0]], [4, 2])
 
 
 def test_a_variable_that_never_moved_has_no_scale():

@@ -11,11 +11,13 @@ import pytest
 from parts import assert_close, assert_same, returns_of
 
 from jaxdyna import rollout
-from jaxdyna.agents import DQNConfig, DQNHParams, dqn, exploration
-from jaxdyna.agents.dqn import _mixed
+from jaxdyna.agents import DQNConfig, DQNHParams, dqn, exploration, q_values
+from jaxdyna.agents.dqn import _descend, _mixed
 from jaxdyna.envs import Catch, FrameStack, Maze, MazeParams
 from jaxdyna.losses import td_error
 from jaxdyna.networks import GlimpseQ, PerceptronQ
+from jaxdyna.replay import prioritized
+from jaxdyna.types import Transition
 
 SIZE = 4
 ENV = FrameStack(Maze(size=SIZE, num_obstacles=1))
@@ -63,6 +65,132 @@ def test_nothing_flows_into_the_target():
     np.testing.assert_array_equal(slope, [-1, 0])
 
 
+class Linear:
+    """Values of two actions from a vector of two, by a matrix."""
+
+    def init(self, key, x):
+        return jnp.zeros((2, 2))
+
+    def apply(self, params, x):
+        return x @ params
+
+
+LINEAR = Linear()
+SIMPLE = DQNConfig(
+    network=LINEAR, batch=4000, capacity=8, episodes=4, fake_capacity=8, fake_episodes=4
+)
+
+
+def known(config, reward, terminated, weight=1.0):
+    """A learner that holds two real and two fake steps from [1, 0] to [0, 1]. The values there are
+    1 and 2 before, 0 and 9 after, or by the target network 5 and 3. It has made 5 steps.
+    """
+    state, shape = dqn((2,), 2, config).init(jax.random.key(0), HPARAMS), (2, 1)
+    before, after = (jnp.broadcast_to(row, (*shape, 2)) for row in jnp.eye(2))
+    ends, ones = jnp.full(shape, terminated), jnp.ones(shape)
+    steps = Transition(
+        before,
+        jnp.zeros(shape, jnp.int32),
+        reward * ones,
+        after,
+        ends,
+        ~ends,
+        ones > 0,
+        weight * ones,
+    )
+    return state.replace(
+        params=jnp.array([[1.0, 2.0], [0.0, 9.0]]), target=jnp.array([[7.0, 7.0], [5.0, 3.0]]),
+        opt_state=optax.tree.set(state.opt_state, count=jnp.int32(5)),
+        real=prioritized.add(state.real, steps), fake=prioritized.add(state.fake, steps),
+    )  # fmt: skip
+
+
+def descent(key, hparams, config, reward=2.0, terminated=False, weight=1.0, priority=1.0):
+    """One gradient step of it: what is learned, and the loss. Its first real step is drawn so many
+    times as often as the other.
+    """
+    return _one_step(key, hparams, config, reward, terminated, weight, priority)
+
+
+@partial(jax.jit, static_argnums=2)
+def _one_step(key, hparams, config, reward, terminated, weight, priority):
+    state = known(config, reward, terminated, weight)
+    first = state.real.priority.at[0].set(priority)
+    state = state.replace(real=state.real.replace(priority=first))
+    return _descend(partial(q_values, LINEAR), config, state, key, hparams)
+
+
+HALVES = DQNHParams(discount=0.5, reward_scale=0.5)
+
+
+def test_the_loss_by_hand():
+    """Of Huber: half of the square up to 1, linear beyond."""
+    double = descent(jax.random.key(0), HALVES, SIMPLE)[1]
+    np.testing.assert_allclose(double, (1 + 0.5 * 3 - 1) - 0.5)
+    half = descent(jax.random.key(0), HALVES, SIMPLE, weight=0.5)[1]
+    np.testing.assert_allclose(half, double / 2)
+    ended = descent(jax.random.key(0), HALVES, SIMPLE, 3.0, True)[1]
+    np.testing.assert_allclose(ended, 0.5 * (1.5 - 1) ** 2)
+
+
+def test_the_loss_without_double_by_hand():
+    single = descent(jax.random.key(0), HALVES, replace(SIMPLE, double=False))[1]
+    np.testing.assert_allclose(single, (1 + 0.5 * 5 - 1) - 0.5)
+
+
+def weighed(key):
+    """The loss of two equal steps, 1 each, of which the first is drawn three times as often."""
+    hparams = HALVES.replace(fake_share=0.0, importance_exponent=1.0)
+    return descent(key, hparams, SIMPLE, priority=3.0)[1]
+
+
+def test_importance_weights_by_hand():
+    """What is drawn three times as often weighs a third, and the other 1."""
+    np.testing.assert_allclose(weighed(jax.random.key(0)), 3 / 4 * 1 / 3 + 1 / 4, atol=0.02)
+
+
+def test_priorities_by_hand():
+    hparams = HALVES.replace(fake_share=1.0, priority_exponent=0.5)
+    learned, _ = descent(jax.random.key(0), hparams, SIMPLE)
+    assert learned["real"].priority[0] == 1
+    np.testing.assert_allclose(learned["fake"].priority[0], np.sqrt(1.5 + 0.001), rtol=1e-6)
+
+
+def test_the_optimiser_remembers():
+    """Adam corrects its moments by the number of steps that were made."""
+    learned, _ = descent(jax.random.key(0), HALVES, SIMPLE)
+    assert optax.tree.get(learned["opt_state"], "count") == 6
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def chosen(config, fake, hparams):
+    """How often it does each of its actions, where it explores by doing the second."""
+    agent, state = dqn((2,), 2, config), known(config, 0.0, False)
+    drift, obs = jnp.array([0.0, 99.0]), jnp.array([0.0, 1.0])
+    state = state.replace(exploration=state.exploration.replace(drift=drift))
+    act, keys = agent.act_fake if fake else agent.act, jax.random.split(jax.random.key(5), 200)
+    actions = jax.vmap(lambda key: act(state, obs, key, hparams))(keys)
+    return jnp.bincount(actions, length=2)
+
+
+def test_who_acts():
+    """The target network, or the online one."""
+    by_online = replace(SIMPLE, act_by_target=False)
+    assert chosen(SIMPLE, False, DQNHParams(epsilon_first=0.0)).tolist() == [200, 0]
+    assert chosen(by_online, False, DQNHParams(epsilon_first=0.0)).tolist() == [0, 200]
+    assert chosen(SIMPLE, False, DQNHParams(epsilon_first=1.0)).tolist() == [0, 200]
+
+
+def test_dreams_explore_without_direction():
+    assert chosen(SIMPLE, True, DQNHParams(epsilon_fake=1.0)).min() > 70
+    assert chosen(SIMPLE, True, DQNHParams(epsilon_fake=0.0)).tolist() == [200, 0]
+
+
+def test_values_are_of_shades():
+    bytes_, shades = jnp.array([[255, 51]], jnp.uint8), jnp.array([[1.0, 0.2]])
+    np.testing.assert_allclose(q_values(LINEAR, jnp.eye(2), bytes_), shades)
+
+
 def test_real_and_fake_are_kept_apart():
     agent = make()
     state = agent.init(jax.random.key(0), HPARAMS)
@@ -87,16 +215,18 @@ def test_a_batch_is_mixed_as_it_is_told(share):
     config = replace(SMALL, batch=2000, updates=0, fake_updates=0)
     agent, hparams = make(batch=2000, updates=0, fake_updates=0), DQNHParams(fake_share=share)
     state = agent.init(jax.random.key(0), hparams)
-    real, fake = (play(seed)._replace(reward=np.full((2, 6), seed, np.float32)) for seed in (0, 1))
+    real, fake = (
+        play(seed)._replace(reward=np.full((2, 6), seed + 1, np.float32)) for seed in (0, 1)
+    )
     mixed = jax.jit(lambda *known: _mixed(*known, config)[0].reward.mean())
 
     def mean_reward(seed):
         return float(mixed(state, jax.random.key(seed), hparams))
 
     state, _ = agent.update(state, real, jax.random.key(1), hparams)
-    assert mean_reward(2) == 0
+    assert mean_reward(2) == 1
     state, _ = agent.update_fake(state, fake, jax.random.key(3), hparams)
-    assert mean_reward(4) == pytest.approx(share, abs=0.05)
+    assert mean_reward(4) == pytest.approx(1 + share, abs=0.05)
 
 
 def test_what_weighs_nothing_changes_nothing():

@@ -7,12 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from parts import DYNA, ENV, MODEL_FREE, ORACLE, SMALL, assert_close, assert_same, hparams
+from parts import AGENT, DYNA, ENV, MODEL_FREE, ORACLE, SMALL, assert_close, assert_same, hparams
 
 from jaxdyna import sweep
 from jaxdyna.dyna import DynaConfig, make_advance, make_init, make_train, survived
 from jaxdyna.replay import memory
 from jaxdyna.sweep import AXES
+from jaxdyna.types import Transition
 
 WITHOUT_DREAMS = DYNA._replace(dream=None, diagnose=None)
 
@@ -172,3 +173,37 @@ def test_a_dreamed_world_knows_only_observed_starts(dyna_run):
 def test_clear_errors(changes, complaint):
     with pytest.raises(ValueError, match=complaint):
         DynaConfig(**{**vars(SMALL), **changes})
+
+
+def test_a_model_is_judged_before_it_learns(dyna_run):
+    """Of the first episode it knows nothing, as one that never learns; of the second it does."""
+    _, placebo = train(DYNA, model_trains=False)
+    errors = np.asarray(dyna_run[1]["state_error"])
+    np.testing.assert_array_equal(errors[0], placebo["state_error"][0])
+    assert (errors[1] != placebo["state_error"][1]).all()
+
+
+def called():
+    """Which of an agent's functions a run with dreams asks."""
+    names = set()
+
+    def noted(name, function):
+        return lambda *given: names.add(name) or function(*given)
+
+    acting = {name: noted(name, AGENT.act) for name in ("act", "act_fake")}
+    learning = {name: noted(name, AGENT.update) for name in ("update", "update_fake")}
+    run = make_train(ORACLE._replace(agent=AGENT._replace(**acting, **learning)), SMALL)
+    jax.eval_shape(run, jax.random.key(0), hparams())
+    return names
+
+
+def test_an_agent_may_act_and_learn_otherwise_in_dreams():
+    assert called() == {"act", "act_fake", "update", "update_fake"}
+
+
+def test_survived_by_hand():
+    """Two episodes of three steps, of which one may fall in its last."""
+    no = jnp.zeros((2, 3), bool)
+    steps = Transition(no, no, no, no, no, no, ~no)
+    assert survived(steps)
+    assert not survived(steps._replace(terminated=no.at[1, 2].set(True)))

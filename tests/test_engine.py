@@ -150,6 +150,12 @@ def test_seeds_and_base_seeds_are_different_runs():
     assert len({run["judged"].tobytes() for run in runs}) == 2 * len(SEEDS)
 
 
+def test_runs_are_judged_with_other_keys():
+    runs = work.Runs(np.arange(3), 7, None, None)
+    keys = [tuple(row) for keys in (runs.keys, runs.judging) for row in jax.random.key_data(keys)]
+    assert len(set(map(str, keys))) == 6
+
+
 def test_what_the_host_collects_goes_to_its_own_run():
     asked = []
 

@@ -107,6 +107,33 @@ def test_an_episode_whose_last_steps_are_masked_ends_before_them():
     assert_same(window.last_obs[2], episodes.next_obs[0, 3])
 
 
+def test_a_gap_in_the_mask_is_kept_as_it_was():
+    episodes = play(0, 1)
+    episodes = episodes._replace(mask=episodes.mask & (np.arange(7) != 3))
+    buffer = ADD(frame_replay.init(64, 20, example(episodes)), episodes)
+    assert int(buffer.size) == 7
+    drawn = TAKE(buffer, jnp.arange(7))
+    np.testing.assert_array_equal(drawn.mask, episodes.mask[0])
+    assert_same(drawn.next_obs, episodes.next_obs[0])
+
+
+def test_an_emptied_replay_yields_nothing():
+    """Though what it held still lies there."""
+    memory, episodes = frames(lambda rest: rest["reward"] > 0), play(0, 2)
+    held = ADD(frame_replay.init(32, 8, example(episodes)), episodes)
+    assert SAMPLE(held, jax.random.key(0), (3,)).mask.all()
+    assert not SAMPLE(memory.forget(held, jnp.bool_(True)), jax.random.key(0), (3,)).mask.any()
+
+
+def test_a_window_ends_with_the_newest_transition():
+    """Nothing lies behind it, or something of long ago."""
+    episodes = play(3, 1)
+    buffer = ADD(frame_replay.init(64, 20, example(episodes)), episodes)
+    window = WINDOW(buffer, jnp.array([4, 5, 6, 6]), 3, 0.5)
+    np.testing.assert_allclose(window.discount, [0.125, 0.25, 0.5, 0.5])
+    assert_same(window.last_obs[1], episodes.next_obs[0, 6])
+
+
 def test_windows_by_hand():
     episodes = play(3, 2, lengths=[3, 7])
     episodes = episodes._replace(reward=np.arange(14, dtype=np.float32).reshape(2, 7))
@@ -123,6 +150,7 @@ def test_windows_by_hand():
     buffer = ADD(frame_replay.init(64, 20, example(cut)), cut)
     window = WINDOW(buffer, jnp.arange(3), 3, 0.5)
     np.testing.assert_allclose(window.discount, [0.125, 0.25, 0.5])  # truncation never cuts
+    np.testing.assert_allclose(WINDOW(buffer, jnp.arange(4), 1, 0.5).discount, 0.5)
 
 
 def test_memory_draws_rare_transitions_and_forgets():

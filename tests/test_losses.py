@@ -1,5 +1,6 @@
 """The equations against values worked out by hand."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -39,6 +40,15 @@ def test_policy_gradient():
         logits, jnp.array([1, 0, 0]), jnp.array([2.0, -1.0, 5.0]), jnp.array([1.0, 0.5, 0.0])
     )
     np.testing.assert_allclose(loss, -(2 * np.log(0.75) - 0.5 * np.log(0.5)), rtol=1e-6)
+
+
+def test_the_advantage_is_a_constant():
+    """As where it comes from the network that is trained."""
+
+    def loss(shift):
+        return policy_gradient(jnp.zeros((1, 2)), jnp.array([0]), shift + jnp.ones(1), jnp.ones(1))
+
+    assert jax.grad(loss)(1.0) == 0
 
 
 def test_transition_loss_is_equation_1():

@@ -135,6 +135,16 @@ def test_the_oracle_is_the_best_that_search_finds():
             assert plan.best_return == best_return(plain(state, steps, env.size), steps)
 
 
+def test_of_equal_actions_the_oracle_takes_the_first():
+    """To the upper right corner it goes right first, and in the end it does what comes first."""
+    env, params = Maze(size=4, num_obstacles=0), MazeParams(max_steps=8)
+    plan = jax.jit(lambda key: solve_maze(env, env.reset(key, params)[1], params, 8))(
+        jax.random.key(0)
+    )
+    assert plan.action[0, 3, 0] == 1
+    assert plan.action[-1, 3, 0] == 0
+
+
 def test_following_the_oracle_earns_what_it_promises():
     keys = jax.random.split(jax.random.key(0), 20)
 

@@ -21,6 +21,7 @@ from jaxdyna.models import (
     pixels,
 )
 from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalReward
+from jaxdyna.types import Transition
 
 SIZE = 9
 ENV = FrameStack(Maze(size=SIZE, num_obstacles=3))
@@ -97,6 +98,37 @@ def test_losses_by_hand():
     expected = -(truth * np.log(p) + (1 - truth) * np.log(1 - p))
     np.testing.assert_allclose(bce.error(raw, truth), expected, rtol=1e-6)
     np.testing.assert_allclose(bce.probability(raw), p, rtol=1e-6)
+
+
+@jax.jit
+def means_of():
+    """What a frame model that knows nothing, but that each of 9 cells earns -0.5, makes of two
+    steps and one of padding.
+    """
+    config = PixelConfig(
+        LocalDynamics(3, (2,)), reward=LocalReward(2, price=2.0), reward_weight=3.0
+    )
+    model, hparams = pixels((3, 3, 3), 5, config), PixelHParams()
+    state = model.init(jax.random.key(0), hparams)
+    nothing = jax.tree.map(jnp.zeros_like, state.params)["params"]
+    head = {"Dense_0": nothing["reward"]["Dense_0"] | {"bias": jnp.ones(2)},
+            "Dense_1": {"kernel": jnp.full((2, 1), -0.25)}}  # fmt: skip
+    opt_state = optax.tree.set(state.opt_state, count=jnp.int32(5))
+    state = state.replace(params={"params": nothing | {"reward": head}}, opt_state=opt_state)
+    stacks, no = jnp.full((3, 3, 3, 12), 255, jnp.uint8), jnp.zeros(3, bool)
+    reward = jnp.array([-4.5, -2.5, 99.0])
+    steps = Transition(stacks, jnp.zeros(3, int), reward, stacks, no, no, jnp.arange(3) < 2)
+    new, means = model.update(state, steps, jax.random.key(1), hparams)
+    return means | {"steps": optax.tree.get(new.opt_state, "count")}
+
+
+def test_a_frame_models_loss_by_hand():
+    means = means_of()
+    frame, reward = 27 * np.log(2), (0 + 4) / 2 + 2 * 9 * 0.5
+    np.testing.assert_allclose(means["frame_loss"], frame, rtol=1e-6)
+    np.testing.assert_allclose(means["reward_loss"], reward, rtol=1e-6)
+    np.testing.assert_allclose(means["loss"], frame + 3 * reward, rtol=1e-6)
+    assert means["steps"] == 6  # of 5 before: by which Adam corrects its moments
 
 
 def test_drawn_pixels_come_as_often_as_they_are_believed_in(episodes):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.networks import FeaturePointQ
-from jaxdyna.networks.q_networks import mean_places
+from jaxdyna.networks.q_networks import dueling, mean_places
 
 
 def picture(row, column, shade=1.0):
@@ -34,3 +34,8 @@ def test_values_hang_on_where_things_are_and_how_they_move():
     values = network.apply(params, jnp.concatenate([still, moving]))
     assert values.shape == (2, 6)
     assert not np.allclose(values[0], values[1])
+
+
+def test_dueling_values_by_hand():
+    """The first output is their mean."""
+    np.testing.assert_allclose(dueling(jnp.array([[10.0, 1.0, 2.0, 6.0]])), [[8, 9, 13]])

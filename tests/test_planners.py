@@ -263,6 +263,77 @@ def test_what_a_world_does_after_its_end_counts_for_nothing():
     assert values[0] == values[1]
 
 
+@dataclass(frozen=True)
+class Levers:
+    """Each action pays its own, until the world ends after ``near`` steps."""
+
+    pays: tuple = (0.0, 1.0)
+
+    @property
+    def num_actions(self):
+        return len(self.pays)
+
+    def step(self, key, state, action, params):
+        reward, state = jnp.array(self.pays)[action], state + 1
+        over = state >= params.near
+        return jnp.zeros(1), state, reward, over, ~over & (state >= params.max_steps), {}
+
+
+def test_a_random_episode_is_discounted():
+    value = rollout_value(Levers((1.0, 1.0)), CorridorParams(near=9), 4, 0.5)
+    assert value(None, jnp.int32(0), jax.random.key(0)) == 1 + 1 / 2 + 1 / 4 + 1 / 8
+
+
+@partial(jax.jit, static_argnums=0)
+def pulled(config, keys):
+    """The values of decisions of the cross-entropy method."""
+    plan = cross_entropy(Levers(), config)
+    params = CorridorParams(near=99)
+    return jax.vmap(lambda key: plan(params, jnp.zeros(1), jnp.int32(0), key).value)(keys)
+
+
+def best_of_rounds(rounds, candidates=2, elites=1, horizon=4, floor=0.1):
+    config = CrossEntropyConfig(horizon, candidates, iterations=rounds, elites=elites, floor=floor)
+    return pulled(config, jax.random.split(jax.random.key(0), 40))
+
+
+def test_later_rounds_never_lose_the_best_so_far():
+    """The first round is the same; what it has found is never given up for less."""
+    assert (best_of_rounds(3, floor=0.9) >= best_of_rounds(1, floor=0.9)).all()
+
+
+def test_rounds_are_drawn_like_the_best_of_the_one_before():
+    """Twelve levers: all are pulled after a few rounds, by chance about ten."""
+    assert best_of_rounds(6, 16, 4, 12).mean() > 11.5
+
+
+def test_worth_by_hand():
+    """By the best, by the mean, and in between, of the sequences that begin with an action."""
+    action, returns = jnp.array([0, 0, 1]), jnp.array([1.0, 3.0, 2.5])
+    worth = {t: mpc._worth(action, returns, 2, t) for t in (0.0, 1.0, float("inf"))}
+    np.testing.assert_allclose(worth[0.0], [3, 2.5])
+    np.testing.assert_allclose(worth[1.0], [np.log((np.e + np.e**3) / 2), 2.5], rtol=1e-6)
+    np.testing.assert_allclose(worth[float("inf")], [2, 2.5])
+
+
+@jax.jit
+def searched(ends, max_steps, value):
+    """What a search of two nodes expects of the only lever, which pays 1 at a time."""
+    guide = Guide(value=lambda obs, state, key: value)
+    plan = muzero(Levers((1.0,)), SearchConfig(2, discount=0.5))
+    params = CorridorParams(ends, max_steps)
+    return plan(params, jnp.zeros(1), jnp.int32(0), jax.random.key(0), guide).value
+
+
+def test_a_search_by_hand():
+    """A node is worth the mean of what it was thought to be and what was found behind it."""
+    goes_on = searched(99, 99, 5.0)
+    np.testing.assert_allclose(goes_on, 1 + 0.5 * (5 + (1 + 0.5 * 5)) / 2)
+    np.testing.assert_allclose(searched(1, 99, 5.0), 1)
+    np.testing.assert_allclose(searched(99, 1, 5.0), 1 + 0.5 * 5)
+    np.testing.assert_allclose(searched(2, 99, 5.0), 1 + 0.5 * (5 + 1) / 2)
+
+
 def from_the_middle(name):
     """A decision, of a key."""
     obs, state = WORLD.reset(jax.random.key(0), CorridorParams())

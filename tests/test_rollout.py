@@ -132,6 +132,53 @@ def test_dreams_end_by_the_threshold_and_the_horizon():
     assert LEARNED.observation_space(params) == ENV.observation_space(PARAMS)
 
 
+def counting_world(max_steps, ends=99):
+    """Counts its steps, and ends after so many."""
+    return COUNTING, LearnedParams(float(ends), jnp.zeros(4), max_steps=max_steps)
+
+
+def _count(ends, obs, action, key):
+    end = jnp.where(obs[0] + 1 >= ends, 1.0, 0.0)
+    return Prediction(obs + 1, jnp.float32(1), end, jnp.float32(0))
+
+
+COUNTING = LearnedEnvironment(ENV, _count, lambda key, start: start)
+
+
+@pytest.mark.parametrize(("ends", "outcomes"), [(99, [0, 0, 2]), (3, [0, 0, 1]), (2, [0, 1])])
+def test_a_dream_is_truncated_at_its_horizon(ends, outcomes):
+    """1: terminated, 2: truncated; never both."""
+    env, params = counting_world(3, ends)
+    step, (_, state) = jax.jit(env.step), env.reset(jax.random.key(0), params)
+    for outcome in outcomes:
+        _, state, _, *ended, _ = step(jax.random.key(1), state, jnp.int32(0), params)
+        assert ended[0] + 2 * ended[1] == outcome
+
+
+def test_nothing_moves_after_the_end():
+    """What is recorded of the padding is the last state's."""
+    env, params = counting_world(9, ends=2)
+    play = jax.jit(
+        lambda key: rollout(
+            env, random_act, key, params, 2, num_steps=5, record=lambda state, *_: state.time
+        )
+    )
+    np.testing.assert_array_equal(play(jax.random.key(0))[1], [[0, 1, 2, 2, 2]] * 2)
+
+
+def test_rules_of_the_end_by_hand():
+    """Above the thresholds, not at them."""
+    params = LearnedParams(None, hparams=DreamHParams(0.5, 1.0))
+
+    def ends(rule, terminated, uncertainty):
+        said = Prediction(jnp.zeros(1), jnp.float32(0), terminated, uncertainty)
+        return bool(rule(said, params, None))
+
+    cases = [(0.5, 1.0), (0.51, 1.0), (0.5, 1.01)]
+    assert [ends(threshold_rule, *case) for case in cases] == [False, True, True]
+    assert [ends(probability_rule, *case) for case in cases] == [False, True, False]
+
+
 def test_dreams_are_broken_off_in_doubt():
     def predict(params, obs, action, key):
         obs = obs + 1

@@ -1,15 +1,18 @@
 """Statistics against values worked out by hand."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from jaxdyna.experiments.report.summaries import describe_arm
+from jaxdyna.experiments.study.accuracy import Measure, describe
 from jaxdyna.statistics import (
     SolveRule,
     bootstrap_interval,
     episodes_to_solve,
+    mean_interval,
     median_interval,
     rank_correlation,
     ratio_of_means,
@@ -86,6 +89,51 @@ def test_bootstrap_covers_the_true_mean_about_as_often_as_it_says():
         )
         hits += low <= 3 <= high
     assert 0.88 <= hits / 200 <= 0.985
+
+
+def test_a_bootstrap_interval_is_that_of_the_binomial():
+    """Half of 100 runs are 1: their resampled mean is between 0.40 and 0.60 in 95 of 100 cases,
+    and between 0.42 and 0.58 in 90.
+    """
+    runs = np.repeat([0.0, 1.0], 50)
+    np.testing.assert_allclose(
+        bootstrap_interval(runs, lambda rows: rows.mean(-1)), [0.4, 0.6], atol=0.011
+    )
+    np.testing.assert_allclose(mean_interval(runs[:, None])[:, 0], [0.4, 0.6], atol=0.011)
+
+
+def test_solved_and_held_and_first_at_the_threshold_by_hand():
+    """Run 0 solves, and falls off again but for its last episodes; runs 1 and 2 hold, the last one
+    on average.
+    """
+    returns = np.zeros((3, 60))
+    returns[0, 3:9] = returns[0, -3:] = 6
+    returns[1, 8:] = 8
+    returns[2, 1::2] = 12
+    curves = {"real_return": returns, "real_length": np.ones((3, 60))}
+    arm = describe_arm(curves, SolveRule(3, 6.0), budget=60)
+    assert arm["episodes_to_solve"]["per_seed"] == [6, 11, 4]
+    assert arm["first_at_threshold"]["per_seed"] == [4, 9, 2]
+    assert arm["solved_and_held"] == 2
+    never = describe_arm(curves, SolveRule(3, 8.5), budget=60)
+    assert never["first_at_threshold"]["per_seed"] == [None, None, 2]
+    longer = describe_arm(curves, SolveRule(61, 6.0), budget=60)  # held, but never solved
+    assert longer["solved_and_held"] == longer["episodes_to_solve"]["solved"] == 0
+
+
+def test_a_models_error_is_of_the_episodes_with_dreams():
+    """N = 3 and three episodes: 3, 4 and 5; a run that ended after the fourth has two."""
+    error = np.array([[9.0, 9, 1, 2, 6, 9], [9.0, 9, 1, 2, 7, 9]])
+    returns = np.where(np.arange(6) < [[6], [4]], 1.0, np.nan)
+    options = SimpleNamespace(dyna=SimpleNamespace(num_real_first=3))
+    said = describe(Measure("error", 3, "", "", (), "-"))
+    assert said(options, {"error": error, "real_return": returns}) == {"model_error": [3, 1.5]}
+
+
+def test_the_runs_of_a_ratio_are_resampled_each_arm_on_its_own():
+    """In pairs the ratio of two equal arms would always be 1."""
+    runs = np.array([1.0, 3.0])
+    np.testing.assert_allclose(ratio_of_means(runs, runs)["ci95"], [1 / 3, 3])
 
 
 def test_ratio_of_means():
