@@ -210,23 +210,21 @@ def test_real_and_fake_are_kept_apart():
     assert int(state.steps) == 5 and np.isfinite(metrics["loss"])
 
 
+@partial(jax.jit, static_argnums=1)
+def mean_reward(share, dreamed):
+    """Of a batch, where real steps earn 1 and fake ones 2."""
+    real, fake = (known(SIMPLE, reward, False) for reward in (1.0, 2.0))
+    held = fake.fake if dreamed else jax.tree.map(jnp.zeros_like, fake.fake)
+    hparams = DQNHParams(fake_share=share)
+    mixed = _mixed(real.replace(fake=held), jax.random.key(0), hparams, SIMPLE)[0]
+    return mixed.reward.mean()
+
+
 @pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
 def test_a_batch_is_mixed_as_it_is_told(share):
-    config = replace(SMALL, batch=2000, updates=0, fake_updates=0)
-    agent, hparams = make(batch=2000, updates=0, fake_updates=0), DQNHParams(fake_share=share)
-    state = agent.init(jax.random.key(0), hparams)
-    real, fake = (
-        play(seed)._replace(reward=np.full((2, 6), seed + 1, np.float32)) for seed in (0, 1)
-    )
-    mixed = jax.jit(lambda *known: _mixed(*known, config)[0].reward.mean())
-
-    def mean_reward(seed):
-        return float(mixed(state, jax.random.key(seed), hparams))
-
-    state, _ = agent.update(state, real, jax.random.key(1), hparams)
-    assert mean_reward(2) == 1
-    state, _ = agent.update_fake(state, fake, jax.random.key(3), hparams)
-    assert mean_reward(4) == pytest.approx(1 + share, abs=0.05)
+    """Without any dream all of it is real."""
+    assert mean_reward(share, False) == 1
+    assert mean_reward(share, True) == pytest.approx(1 + share, abs=0.05)
 
 
 def test_what_weighs_nothing_changes_nothing():
