@@ -446,8 +446,8 @@ def test_a_model_is_judged_by_hand():
         return jax.jit(lambda key: diagnose(fixed)(None, two_steps(frames), key))(jax.random.key(0))
 
     sums = judge(one_step_sums, False)
-    expected = {"count": 2, "state_error": 4, "state_sum": 7, "state_square": 25,
-                "change_sum": 4, "change_square": 10}  # fmt: skip
+    expected = {"count": 2, "state_error": 4, "state_spread": 0.5, "change_spread": 2,
+                "change_square": 10}  # fmt: skip
     assert {name: float(value.squeeze()) for name, value in sums.items()} == expected
     np.testing.assert_allclose(judge(change_error, False)["model_error"], 4 / 10)
     assert judge(frame_errors, True) == {"wrong_frames": 0.5, "wrong_rewards": 0.5}
