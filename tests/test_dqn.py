@@ -133,6 +133,7 @@ def test_the_loss_by_hand():
     np.testing.assert_allclose(ended, 0.5 * (1.5 - 1) ** 2)
 
 
+@pytest.mark.slow
 def test_the_loss_without_double_by_hand():
     single = descent(jax.random.key(0), HALVES, replace(SIMPLE, double=False))[1]
     np.testing.assert_allclose(single, (1 + 0.5 * 5 - 1) - 0.5)
