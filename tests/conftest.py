@@ -20,6 +20,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 
 import jax
 import pytest
+from hypothesis import settings
 
 import jaxdyna.experiments.engine  # noqa: F401
 
@@ -27,6 +28,8 @@ gc.collect()
 gc.freeze()
 jax.config.update("jax_debug_key_reuse", True)
 jax.config.update("jax_num_cpu_devices", 2)
+settings.register_profile("same", derandomize=True, database=None, deadline=None)
+settings.load_profile("same")  # the same examples on every run
 MANY = 8_000
 """Maps of memory, about 30 to 60 a program: with many more a process compiles ever more slowly."""
 

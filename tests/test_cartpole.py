@@ -1,13 +1,18 @@
 """CartPole agrees with Gymnasium's own."""
 
+from functools import partial
+from itertools import cycle, islice
+
 import gymnasium
 import jax
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
-from jaxdyna.envs import CartPole, CartPoleState
+from jaxdyna.envs import CartPole, CartPoleParams, CartPoleState
 
-COUNT = 10_000
+COUNT, STEPS = 10_000, 500
 
 
 def gymnasium_step(env, state, action):
@@ -61,32 +66,69 @@ def test_steps_agree_under_x64(truth):
     np.testing.assert_array_equal(our_terminated, terminated)
 
 
-@pytest.mark.parametrize(("max_steps", "name"), [(200, "CartPole-v0"), (500, "CartPole-v1")])
-@pytest.mark.filterwarnings("ignore:.*out of date.*:DeprecationWarning")
-def test_episodes_agree(max_steps, name):
-    """Ends and time limits included. The state is set to Gymnasium's before every step: falling is
-    unstable, so that the last bit's difference would grow to 1e-4 within an episode.
+@jax.jit
+def steps_of(states, times, actions, params):
+    """The answers to states ``[T, 4]``, each by itself."""
+
+    def one(state, time, action):
+        return CartPole().step(jax.random.key(0), CartPoleState(*state, time), action, params)
+
+    return jax.vmap(one)(states, times, actions)
+
+
+@st.composite
+def games(draw):
+    """Other physics, a start, what is done over and over (0, 1, or else what balances)."""
+    number = partial(st.floats, allow_subnormal=False)
+    physics = {
+        "gravity": draw(number(0, 30)), "masscart": draw(number(0.1, 10)),
+        "masspole": draw(number(0.01, 5)), "length": draw(number(0.1, 3)),
+        "force_mag": draw(number(-20, 20)), "tau": draw(number(0.001, 0.05)),
+        "theta_threshold": draw(number(0.01, 1.5)), "x_threshold": draw(number(0.1, 5)),
+        "max_steps": draw(st.integers(1, STEPS)),
+    }  # fmt: skip
+    start = draw(st.tuples(*[number(-0.05, 0.05)] * 4))
+    return CartPoleParams(**physics), start, draw(st.lists(st.integers(0, 4), min_size=1))
+
+
+@given(game=games())
+@example(game=(CartPoleParams(max_steps=200), (0.03,) * 4, [2]))
+@example(game=(CartPoleParams(max_steps=500), (0.03,) * 4, [2]))
+@settings(max_examples=60)
+def test_episodes_agree(game):
+    """Ends and time limits included. Every step begins at Gymnasium's state: falling is unstable,
+    so that the last bit's difference would grow to 1e-4 within an episode.
     """
-    theirs, env, lengths = gymnasium.make(name), CartPole(), []
-    params = env.default_params.replace(max_steps=max_steps)
+    params, start, choices = game
+    theirs = gymnasium.make(
+        "CartPole-v1", max_episode_steps=params.max_steps, disable_env_checker=True
+    )
+    theirs.reset(seed=0)
+    truth = theirs.unwrapped
+    for name in ("gravity", "masscart", "masspole", "length", "force_mag", "tau"):
+        setattr(truth, name, getattr(params, name))
+    truth.total_mass = params.masspole + params.masscart
+    truth.polemass_length = params.masspole * params.length
+    truth.x_threshold, truth.theta_threshold_radians = params.x_threshold, params.theta_threshold
+    truth.state = start
+    states, actions, outcomes = [], [], []
+    for choice in islice(cycle(choices), params.max_steps):
+        x, x_dot, theta, theta_dot = truth.state
+        balanced = theta + 0.5 * theta_dot + 0.05 * x_dot + 0.02 * x > 0
+        states.append(truth.state)
+        actions.append(choice if choice < 2 else int(balanced))
+        outcomes.append(theirs.step(actions[-1])[:4])
+        if any(outcomes[-1][2:]):
+            break
+    played = len(actions)
+    states, actions = (np.resize(part, (STEPS, *np.shape(part)[1:])) for part in (states, actions))
     with jax.enable_x64(True):
-        step = jax.jit(env.step)
-        for seed in range(6):
-            obs, _ = theirs.reset(seed=seed)
-            _, state = env.reset(jax.random.key(seed), params)
-            for _ in range(max_steps):
-                x, x_dot, theta, theta_dot = theirs.unwrapped.state
-                state = state.replace(x=x, x_dot=x_dot, theta=theta, theta_dot=theta_dot)
-                balanced = obs[2] + 0.5 * obs[3] + 0.05 * obs[1] + 0.02 * obs[0] > 0
-                action = int(balanced) if seed % 2 else 1
-                obs, *outcome, _ = theirs.step(action)
-                ours, state, *our_outcome, _ = step(jax.random.key(0), state, action, params)
-                np.testing.assert_array_equal(ours, obs)
-                assert [float(our_outcome[0]), *map(bool, our_outcome[1:])] == outcome
-                if any(outcome[1:]):
-                    break
-            lengths.append(int(state.time))
-    assert max(lengths) == max_steps and min(lengths) < 100
+        answers = steps_of(states, np.arange(STEPS), actions, params)
+        ours, _, *our_outcomes, _ = jax.tree.map(lambda leaf: np.asarray(leaf)[:played], answers)
+    obs, reward, terminated, truncated = map(np.array, zip(*outcomes, strict=True))
+    np.testing.assert_allclose(ours, obs, rtol=2e-7, atol=1e-12)
+    np.testing.assert_array_equal(our_outcomes, [reward, terminated, truncated & ~terminated])
+    assert our_outcomes[1][-1] or our_outcomes[2][-1]
 
 
 def test_start_states_are_uniform_within_the_bound():

@@ -1,11 +1,15 @@
 """Catch against its rules played by hand and once more in plain Python."""
 
+from functools import cache, partial
+
 import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from parts import assert_same, returns_of
 
 from jaxdyna import rollout
@@ -18,8 +22,7 @@ from jaxdyna.models import PixelConfig, PixelHParams, pixels
 from jaxdyna.networks import LocalDynamics
 from jaxdyna.sweep import over_runs
 
-BOARDS = [(10, 5), (2, 1), (7, 4), (4, 9)]
-EPISODES = 12
+GAMES = [Catch(), Catch(2, 1), Catch(7, 4, frames=True), Catch(4, 9, frames=True)]
 
 
 class PlainCatch:
@@ -52,11 +55,13 @@ class PlainCatch:
         return frame
 
 
+@cache
 def start(env, column):
     _, state = env.reset(jax.random.key(0), env.default_params)
     return state.replace(ball=jnp.array([0, column], jnp.int32))
 
 
+@partial(jax.jit, static_argnums=0)
 def play(env, params, state, actions):
     """The answers of `Catch.step` to some actions, with a leading axis of time."""
 
@@ -95,31 +100,33 @@ def test_an_episode_by_hand():
     assert missed[1].paddle.tolist() == [2, 2, 2]
 
 
-@pytest.mark.parametrize("frames", [False, True])
-@pytest.mark.parametrize(("rows", "columns"), BOARDS)
-def test_whole_episodes_agree_with_the_second_implementation(rows, columns, frames):
-    """From every start column, with random actions."""
-    env = Catch(rows, columns, frames)
-    actions = np.random.default_rng(rows).integers(0, 3, (columns, EPISODES, rows - 1))
-    starts = jax.vmap(lambda column: start(env, column))(jnp.arange(columns))
-    over_actions = jax.vmap(play, (None, None, None, 0))
-    over_columns = jax.jit(jax.vmap(over_actions, (None, None, 0, 0)), static_argnums=0)
-    answers = jax.tree.map(np.asarray, over_columns(env, env.default_params, starts, actions))
-    obs, state, reward, terminated, truncated, info = answers
-    assert not truncated.any()
-    for column, episode in np.ndindex(columns, EPISODES):
-        other = PlainCatch(rows, columns, column)
-        for time in range(rows - 1):
-            here = column, episode, time
-            expected = other.step(actions[here])
-            assert (reward[here], terminated[here]) == expected
-            assert info["caught"][here] == (expected[0] == 1)
-            seen = other.frame() if frames else other.board().reshape(-1)
-            np.testing.assert_array_equal(obs[here], seen)
-            assert state.ball[here].tolist() == [other.row, other.ball]
-            assert (state.paddle[here], state.time[here]) == (other.paddle, time + 1)
-    if rows == 10:
-        assert 0 < info["caught"].mean() * (rows - 1) < 1  # both ends are seen
+@st.composite
+def games(draw):
+    """A board, the ball's column, actions until it has landed, rewards, and a limit."""
+    env = draw(st.sampled_from(GAMES))
+    actions = st.lists(st.integers(0, 2), min_size=env.rows - 1, max_size=env.rows - 1)
+    reward = st.integers(-9, 9).map(float)
+    params = CatchParams(draw(reward), draw(reward), draw(st.integers(1, env.rows)))
+    return env, draw(st.integers(0, env.columns - 1)), draw(actions), params
+
+
+@given(game=games())
+@settings(max_examples=80)
+def test_any_game_agrees_with_the_second_implementation(game):
+    env, column, actions, params = game
+    answers = play(env, params, start(env, column), jnp.array(actions))
+    obs, state, reward, terminated, truncated, info = jax.tree.map(np.asarray, answers)
+    other, earned = PlainCatch(env.rows, env.columns, column), {0: 0.0}
+    earned |= {1: params.catch_reward, -1: params.miss_reward}
+    for time, action in enumerate(actions):
+        outcome, ended = other.step(action)
+        assert (reward[time], terminated[time]) == (earned[outcome], ended)
+        assert truncated[time] == (not ended and time + 1 >= params.max_steps)
+        assert info["caught"][time] == (outcome == 1)
+        seen = other.frame() if env.frames else other.board().reshape(-1)
+        np.testing.assert_array_equal(obs[time], seen)
+        assert state.ball[time].tolist() == [other.row, other.ball]
+        assert (state.paddle[time], state.time[time]) == (other.paddle, time + 1)
 
 
 @pytest.mark.parametrize("frames", [False, True])
@@ -245,13 +252,13 @@ def test_frames_for_people():
 
 
 def test_clear_errors():
-    for settings, words in (
+    for changes, words in (
         ({"rows": 1}, "rows is 1: it must be at least 2"),
         ({"columns": 0}, "columns is 0: it must be at least 1"),
         ({"rows": 2.5}, "whole number"),
     ):
         with pytest.raises(ValueError, match=words):
-            Catch(**settings)
+            Catch(**changes)
     assert hash(Catch()) == hash(Catch()) != hash(Catch(frames=True))
 
 

@@ -1,9 +1,13 @@
 """The Maze against a second implementation, and its exact oracle."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from maze_numpy import PlainMaze, best_return
 from parts import assert_same
 
@@ -21,59 +25,59 @@ def plain(state, max_steps=200, size=16):
     )
 
 
-@pytest.mark.parametrize(
-    "env", [ENV, Maze(size=5, num_obstacles=9, goal=(4, 4)), Maze(size=2, num_obstacles=0)]
-)
-def test_whole_episodes_agree_with_the_second_implementation(env):
-    params = MazeParams(collision_reward=-3.0, goal_reward=2.0, max_steps=60)
-    step = jax.jit(env.step)
-    for seed in range(8):
-        obs, state = env.reset(jax.random.key(seed), params)
-        other = plain(state, 60, env.size)
-        np.testing.assert_array_equal(obs, other.frame())
-        # Towards the goal rather than at random, or the corner is never left.
-        actions = np.random.default_rng(seed).choice(
-            [0, 1, 2, 3, 4], 60, p=[0.1, 0.3, 0.3, 0.1, 0.2]
-        )
-        for time, action in enumerate(actions, start=1):
-            obs, state, reward, terminated, truncated, info = step(
-                jax.random.key(9), state, jnp.int32(action), params
-            )
-            expected, ended = other.step(action, -3.0, 2.0)
-            assert (float(reward), bool(truncated), bool(terminated)) == (expected, ended, False)
-            assert bool(info["collision"]) == (tuple(map(int, state.agent)) in other.obstacles)
-            np.testing.assert_array_equal(obs, other.frame())
-            np.testing.assert_array_equal(state.directions, other.directions)
-            assert state.time == time
+BOARDS = [ENV, Maze(size=5, num_obstacles=9, goal=(4, 4)), Maze(size=2, num_obstacles=0)]
+STEPS = 40
 
 
-def test_many_random_states_agree():
-    """10,000 states anywhere on the grid, shared cells and corners included."""
-    generator = np.random.default_rng(0)
-    count = 10_000
-    state = MazeState(
-        agent=generator.integers(0, 16, (count, 2)),
-        goal=np.where(
-            generator.random((count, 1)) < 0.5, generator.integers(0, 16, (count, 2)), 15
-        ),
-        obstacles=generator.integers(0, 16, (count, 5, 2)),
-        directions=generator.integers(0, 4, (count, 5)),
-        time=generator.integers(0, 200, count),
-    )
-    state = jax.tree.map(lambda leaf: np.asarray(leaf, np.int32), state)
-    actions = generator.integers(0, 5, count)
-    keys = jax.random.split(jax.random.key(0), count)
-    step = jax.jit(jax.vmap(ENV.step, (0, 0, 0, None)))
-    answer = jax.tree.map(np.asarray, step(keys, state, actions, PARAMS))
-    obs, _, reward, _, truncated, info = answer
-    for number in range(count):
-        other = plain(jax.tree.map(lambda leaf, at=number: leaf[at], state))
-        expected, _ = other.step(actions[number])
-        assert float(reward[number]) == expected
-        np.testing.assert_array_equal(obs[number], other.frame())
-    np.testing.assert_array_equal(truncated, state.time >= 199)
-    np.testing.assert_array_equal(reward == -5 + info["at_goal"], info["collision"])
-    assert 100 < info["collision"].sum() < 400
+@partial(jax.jit, static_argnums=0)
+def play(env, state, actions, params):
+    """The first frame, and the answers of `Maze.step` to some actions, with an axis of time."""
+
+    def step(state, action):
+        answer = env.step(jax.random.key(0), state, action, params)
+        return answer[1], answer
+
+    return env.frame(state), jax.lax.scan(step, state, actions)[1]
+
+
+@st.composite
+def games(draw):
+    """A board, a state anywhere on it, shared cells and corners included, actions and rewards."""
+    env = draw(st.sampled_from(BOARDS))
+    cell = st.tuples(*[st.integers(0, env.size - 1)] * 2)
+    obstacles = draw(st.tuples(*[st.tuples(cell, st.integers(0, 3))] * env.num_obstacles))
+    cells = np.reshape([cell for cell, _ in obstacles], (-1, 2))
+    directions = [direction for _, direction in obstacles]
+    parts = draw(cell), draw(cell), cells, directions, draw(st.integers(0, 60))
+    actions = draw(st.lists(st.integers(0, 4), min_size=STEPS, max_size=STEPS))
+    reward = st.integers(-9, 9).map(float)
+    params = MazeParams(draw(reward), draw(reward), draw(st.integers(1, 60)))
+    return env, MazeState(*(np.asarray(part, np.int32) for part in parts)), actions, params
+
+
+@given(game=games())
+@settings(max_examples=100)
+def test_any_game_agrees_with_the_second_implementation(game):
+    env, start, actions, params = game
+    first, answers = jax.tree.map(np.asarray, play(env, start, np.int32(actions), params))
+    obs, state, reward, terminated, truncated, info = answers
+    other = plain(start, params.max_steps, env.size)
+    other.time = int(start.time)
+    np.testing.assert_array_equal(first, other.frame())
+    rewards, ends, frames, turned = [], [], [], []
+    for action in actions:
+        earned, ended = other.step(action, params.collision_reward, params.goal_reward)
+        rewards.append(earned)
+        ends.append(ended)
+        frames.append(other.frame())
+        turned.append(list(other.directions))
+    np.testing.assert_array_equal(reward, rewards)
+    np.testing.assert_array_equal(truncated, ends)
+    np.testing.assert_array_equal(obs, frames)
+    np.testing.assert_array_equal(state.directions, turned)
+    np.testing.assert_array_equal(info["collision"], (obs[..., 0] & obs[..., 2]).any((1, 2)))
+    np.testing.assert_array_equal(state.time, start.time + 1 + np.arange(STEPS))
+    assert not terminated.any() and obs.dtype == np.uint8 and reward.dtype == np.float32
 
 
 def test_a_turn_takes_the_whole_tick_and_exchanging_cells_is_no_collision():
@@ -105,7 +109,7 @@ def test_starts_are_distinct_uniform_and_free():
 
 
 def test_clear_errors():
-    for settings, words in (
+    for changes, words in (
         ({"size": 1}, "at least 2"),
         ({"num_obstacles": 255}, "0..254"),
         ({"goal": (0, 16)}, "goal is"),
@@ -114,7 +118,7 @@ def test_clear_errors():
         ({"size": 4.5}, "a whole number"),
     ):
         with pytest.raises(ValueError, match=words):
-            Maze(**settings)
+            Maze(**changes)
 
 
 def test_frames_for_people():

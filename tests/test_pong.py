@@ -1,5 +1,6 @@
 """Pong against a recorded game of the Atari 2600, rule by rule, and what it looks like."""
 
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 
@@ -7,7 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from parts import assert_same
+from pong_plain import PlainPong
 from tools.pong_trace import Script, play, record, samples, script
 
 from jaxdyna import rollout
@@ -297,6 +301,93 @@ def test_points_end_the_episode_and_nothing_moves_afterwards():
         _, state, _, terminated, truncated, _ = step(jax.random.key(time), state, down, short)
         ends.append((bool(terminated), bool(truncated)))
     assert ends == [(False, False), (False, True)]
+
+
+@partial(jax.jit, static_argnums=0)
+def steps_of(env, state, actions, key, params):
+    """The answers of `Pong.step` to some actions, and what is random in every frame of them."""
+
+    def coin(key):
+        key_sticky, key_serve = jax.random.split(key)
+        sticks = jax.random.bernoulli(key_sticky, params.repeat_action_probability)
+        return jax.random.bernoulli(key_serve), sticks
+
+    def frame_keys(key, _):
+        return tuple(jax.random.split(key))
+
+    def step(carry, action):
+        state, key = carry
+        key, key_step = jax.random.split(key)
+        _, keys = jax.lax.scan(frame_keys, jax.random.clone(key_step), length=env.frame_skip)
+        answer = env.step(key_step, state, action, params)
+        return (answer[1], key), (answer, jax.vmap(coin)(keys))
+
+    return jax.lax.scan(step, (state, key), actions)[1]
+
+
+GAMES = [Pong(scale=8, palette=CHANNELS), Pong(scale=10, frame_skip=1, palette=CHANNELS)]
+START = jax.tree.map(np.asarray, first_state(PARAMS))
+LENGTH = 30
+
+
+@st.composite
+def games(draw):
+    """A game in the midst of play or before a serve, other settings, and actions held a while."""
+    whole = st.integers
+    rules = PongParams(
+        points_to_win=draw(whole(1, 3)), max_steps=draw(whole(1, LENGTH)),
+        first_serve_delay=draw(whole(0, 5)), serve_delay=draw(whole(0, 5)),
+        opponent_speed=draw(whole(0, 5)), opponent_rest=draw(whole(1, 9)),
+        paddle_speed=draw(st.sampled_from([0.0, 5.8, 9.5])),
+        repeat_action_probability=draw(st.sampled_from([0.0, 0.25, 1.0])),
+    )  # fmt: skip
+    state = START.replace(wait=np.int32(max(rules.first_serve_delay, 1)))
+    if draw(st.booleans()):
+        place, speed = (draw(whole(-3, 158)), draw(whole(4, 155))), draw(whole(1, 3))
+        flight = draw(whole(-3, 2)), draw(st.sampled_from([-speed, speed]))
+        own, opponent = (place[0] + draw(whole(-30, 15)) for _ in range(2))
+        own = min(max(own, -9), 156)
+        state = state.replace(
+            ball=np.int32(place), ball_velocity=np.int32(flight), own=np.int32(own),
+            own_target=np.float32(own), opponent=np.int32(opponent), wait=np.int32(0),
+            clock=np.int32(draw(whole(0, 9))),
+        )  # fmt: skip
+    held = draw(st.lists(st.tuples(whole(0, 5), whole(1, 12)), min_size=1))
+    actions = np.resize(np.repeat(*map(np.int32, zip(*held, strict=True))), LENGTH)
+    return draw(st.sampled_from(GAMES)), rules, state, actions, draw(whole(0, 2**31))
+
+
+@given(game=games())
+@settings(max_examples=60)
+def test_any_game_agrees_with_the_second_implementation(game):
+    env, rules, state, actions, seed = game
+    limit = rules.max_steps
+    played = steps_of(env, state, actions, jax.random.key(seed), rules)
+    answers, (upwards, sticks) = jax.tree.map(np.asarray, played)
+    obs, after, reward, terminated, truncated, _ = answers
+    names = [name for name in vars(state) if name != "time"]
+    begun = {name: getattr(state, name).tolist() for name in names}
+    pairs = {name: tuple(begun[name]) for name in ("ball", "ball_velocity", "score")}
+    other, expected = PlainPong(**begun | pairs, params=rules), []
+    for time, action in enumerate(actions.tolist(), start=1):
+        behind = other.score[0] - other.score[1]
+        for coins in zip(upwards[time - 1], sticks[time - 1], strict=True):
+            if max(other.score) < rules.points_to_win:
+                other.frame(action, *coins)
+        over = max(other.score) >= rules.points_to_win
+        outcome = behind - (other.score[0] - other.score[1]), over, not over and time >= limit
+        now = {name: getattr(other, name) for name in names}
+        expected.append((other.picture(env.scale), now, *outcome))
+        row, column = other.ball
+        assert row == -48 or (-7 < row < 163 and 0 <= column < 160)
+    frames, states, *outcomes = zip(*expected, strict=True)
+    np.testing.assert_array_equal([reward, terminated, truncated], outcomes)
+    for name in names:
+        theirs, here = getattr(after, name), [one[name] for one in states]
+        np.testing.assert_array_equal(theirs, here, err_msg=name)
+        assert theirs.dtype == getattr(START, name).dtype
+    np.testing.assert_array_equal(obs, frames)
+    np.testing.assert_array_equal(after.time, 1 + np.arange(LENGTH))
 
 
 def test_fire_makes_a_hit_faster_up_to_three_pixels():
