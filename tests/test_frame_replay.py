@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from parts import assert_same
 
 from jaxdyna import rollout
@@ -14,6 +16,7 @@ from jaxdyna.replay import frames as frame_replay
 from jaxdyna.replay.memory import frames
 from jaxdyna.replay.n_step import take_window
 from jaxdyna.replay.ring import share_weight
+from jaxdyna.types import Transition
 
 ENV = FrameStack(Maze(size=5, num_obstacles=3))
 TAKE, ADD = jax.jit(frame_replay.take), jax.jit(frame_replay.add)
@@ -151,6 +154,101 @@ def test_windows_by_hand():
     window = WINDOW(buffer, jnp.arange(3), 3, 0.5)
     np.testing.assert_allclose(window.discount, [0.125, 0.25, 0.5])  # truncation never cuts
     np.testing.assert_allclose(WINDOW(buffer, jnp.arange(4), 1, 0.5).discount, 0.5)
+
+
+FRAMES, BATCH, LENGTH, LENGTHS = 3, 2, 4, 3
+"""In a stack; episodes at a time and their longest; of a window."""
+
+
+def numbered(first, masks, older):
+    """A batch of episodes ``[N, T]`` of vectors that are numbers, each another one; before the
+    first there is its own repeated, or where it branched off (``older``) what was seen before.
+    """
+    count, steps = masks.shape
+    frames = 100.0 * (first + np.arange(count))[:, None] + np.arange(FRAMES + steps)
+    frames[~older, : FRAMES - 1] = frames[~older, FRAMES - 1 : FRAMES]
+    stacks = np.lib.stride_tricks.sliding_window_view(frames, FRAMES, axis=1).astype(np.float32)
+    last = np.arange(steps) == (masks * np.arange(1, steps + 1)).max(1)[:, None] - 1
+    ends = last & (frames[:, 0] % 200 < 100)[:, None]
+    reward = frames[:, FRAMES:].astype(np.float32)
+    action = np.broadcast_to(np.arange(steps, dtype=np.int32), masks.shape)
+    return Transition(stacks[:, :-1], action, reward, stacks[:, 1:], ends, last & ~ends, masks)
+
+
+@partial(jax.jit, static_argnums=0)
+def after_each(sizes, batches, forgotten, key):
+    """A replay after each batch, before which it may be emptied; whatever is at every place, as
+    transitions and as windows; and a draw.
+    """
+    memory = frames(lambda rest: rest["truncated"], FRAMES)
+    example = jax.tree.map(lambda leaf: leaf[0, 0, 0], batches)
+
+    def put(held, now):
+        batch, forget, key = now
+        held = memory.add(memory.forget(held, forget), batch, (), 0)
+        numbers = jnp.maximum(held.number(jnp.arange(held.capacity)), held.oldest)
+        window = take_window(held, numbers, LENGTHS, 0.5)
+        drawn = frame_replay.draw_numbers(held, key, (16,))
+        counts = held.oldest, held.added, held.size
+        return held, (counts, held.held, numbers, memory.take(held, numbers), window, drawn)
+
+    start = memory.init(*sizes, example, ())
+    keys = jax.random.split(key, len(forgotten))
+    return jax.lax.scan(put, start, (batches, forgotten, keys))[1]
+
+
+def windows(items, episodes):
+    """Of each transition of a list: the reward of its window, what is seen after it, and the
+    discount of that.
+    """
+    found = []
+    for number, episode in enumerate(episodes):
+        steps = min(LENGTHS, np.count_nonzero(episodes[number:] == episode))
+        last = number + steps - 1
+        reward = sum(0.5**step * float(items.reward[number + step]) for step in range(steps))
+        found.append((reward, items.next_obs[last], 0.5**steps * (not items.terminated[last])))
+    return [np.array(part) for part in zip(*found, strict=True)]
+
+
+@given(data=st.data(), sizes=st.sampled_from([(8, 2), (11, 5)]))
+@settings(max_examples=50)
+def test_what_is_held_is_what_was_added(data, sizes):
+    """Episodes of any length, none included, some branched off, wherever they wrap around: stacks
+    and windows look across no episode's end and at nothing that was overwritten.
+    """
+    capacity, room = sizes
+    ends = data.draw(st.lists(st.integers(0, LENGTH), min_size=12, max_size=12))
+    older = np.array(data.draw(st.lists(st.booleans(), min_size=12, max_size=12)))
+    often = data.draw(st.integers(2, 7))
+    masks = (np.arange(LENGTH) < np.array(ends)[:, None]).reshape(-1, BATCH, LENGTH)
+    older, forgotten = older.reshape(-1, BATCH), np.arange(1, 7) % often == 0
+    parts = [numbered(2 * number, masks[number], older[number]) for number in range(6)]
+    batches = jax.tree.map(lambda *leaves: np.stack(leaves), *parts)
+    answers = after_each(sizes, batches, forgotten, jax.random.key(often))
+    answers = jax.tree.map(np.asarray, answers)
+    items, episodes = flat(parts), np.repeat(np.arange(12), ends)
+    expected = windows(items, episodes) if len(episodes) else None
+    begun = 0
+    for time in range(6):
+        now = jax.tree.map(lambda leaf, at=time: leaf[at], answers)
+        counts, held, numbers, taken, window, drawn = now
+        begun = 2 * time if forgotten[time] else begun
+        before, added = np.searchsorted(episodes, [begun, 2 * time + 2])
+        lost = max(added - before - capacity, 0)
+        first = before + (lost + FRAMES - 1 if lost else 0)
+        first = max(first, np.searchsorted(episodes, 2 * time + 2 - room))
+        here = np.arange(first, added)
+        assert counts[2] == len(here) == held.sum()
+        assert len(here) or not taken.mask.any()
+        if len(here):
+            assert counts[:2] == (first - before, added - before)
+            assert set(before + drawn) <= set(here)
+            places = before + numbers[held]
+            np.testing.assert_array_equal(np.sort(places), here)
+            held_items, its_windows = jax.tree.map(lambda leaf, at=held: leaf[at], (taken, window))
+            assert_same(held_items, jax.tree.map(lambda leaf, at=places: leaf[at], items))
+            for ours, theirs in zip(its_windows[1:], expected, strict=True):
+                np.testing.assert_array_equal(ours, theirs[places])
 
 
 def test_memory_draws_rare_transitions_and_forgets():

@@ -1,9 +1,13 @@
 """Prioritised draws, and the glimpses that values are read from."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from jaxdyna.networks import GlimpseQ, glimpses
 from jaxdyna.replay import frames as frame_replay
@@ -30,6 +34,68 @@ def frequencies(held, count=20_000):
     numbers, often = DRAW(held, jax.random.key(0), (count,))
     slots = np.asarray(numbers) % held.memory.capacity
     return np.bincount(slots, minlength=held.memory.capacity) / count, slots, np.asarray(often)
+
+
+STAGES, STEPS, BATCH = 8, 5, 6
+
+
+@partial(jax.jit, static_argnums=0)
+def after_each(sizes, lengths, errors, which, exponent, key):
+    """Priorities after each episode of such a length, and again after a batch was drawn and is
+    given these errors.
+    """
+    zeros = jnp.zeros((1, STEPS))
+    none = zeros.astype(bool)
+    vectors = jnp.zeros((1, STEPS, 2))
+    blank = Transition(vectors, zeros.astype(int), zeros, vectors, none, none, none)
+    example = jax.tree.map(lambda leaf: leaf[0, 0], blank)
+
+    def put(held, now):
+        length, errors, which, key = now
+        held = prioritized.add(held, blank._replace(mask=jnp.arange(STEPS)[None] < length))
+        numbers, often = prioritized.draw_numbers(held, key, (BATCH,))
+        after = prioritized.reprioritise(held, numbers, errors[numbers % BATCH], which, exponent)
+        where = held.memory.number(jnp.arange(held.memory.capacity))
+        return after, (where, held.memory.held, held.priority, numbers, often, after.priority)
+
+    start = prioritized.init(frame_replay.init(*sizes, example, num_frames=2))
+    keys = jax.random.split(key, STAGES)
+    return jax.lax.scan(put, start, (lengths, errors, which, keys))[1]
+
+
+@given(
+    sizes=st.sampled_from([(7, 3), (40, 4)]),
+    lengths=st.lists(st.integers(1, STEPS), min_size=STAGES, max_size=STAGES),
+    errors=st.lists(
+        st.lists(st.floats(-100, 100, width=32), min_size=BATCH, max_size=BATCH),
+        min_size=STAGES, max_size=STAGES,
+    ),
+    which=st.lists(st.integers(0, 2**BATCH - 1), min_size=STAGES, max_size=STAGES),
+    exponent=st.sampled_from([0.0, 0.6, 1.0]),
+)  # fmt: skip
+@settings(max_examples=40)
+def test_priorities_are_what_a_dict_would_hold(sizes, lengths, errors, which, exponent):
+    bits = (np.array(which)[:, None] >> np.arange(BATCH)) % 2 == 1
+    errors, key = np.array(errors, np.float32), jax.random.key(lengths[0])
+    answers = after_each(sizes, np.array(lengths), errors, bits, exponent, key)
+    priority, added = {}, 0
+    for time, now in enumerate(zip(*map(np.asarray, answers), strict=True)):
+        numbers, held, before, drawn, often, after = now
+        highest = max(priority.values(), default=1.0)
+        priority |= dict.fromkeys(range(added, added + lengths[time]), highest)
+        added += lengths[time]
+        priority = {number: priority[number] for number in numbers[held].tolist()}
+        assert dict(zip(numbers[held].tolist(), before[held].tolist(), strict=True)) == priority
+        assert not before[~held].any()
+        mean = sum(priority.values()) / len(priority)
+        shares = [priority[number] / mean for number in drawn.tolist()]
+        np.testing.assert_allclose(often, shares, rtol=1e-5)
+        for number, chosen in zip(drawn.tolist(), bits[time], strict=True):
+            if chosen:
+                priority[number] = (abs(errors[time][number % BATCH]) + 1e-3) ** exponent
+        np.testing.assert_allclose(after[held], [priority[n] for n in numbers[held]], rtol=1e-5)
+        priority = dict(zip(numbers[held].tolist(), after[held].tolist(), strict=True))
+        assert not after[~held].any()
 
 
 def test_draws_are_in_proportion_and_say_how_often():

@@ -1,31 +1,93 @@
 """The ring buffer."""
 
+from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from jaxdyna.replay import ring
+from jaxdyna.replay.memory import transitions
 
 SAMPLE = jax.jit(ring.sample, static_argnums=2)
+DRAW = jax.jit(ring.draw, static_argnums=2)
 DISTINCT = jax.jit(ring.sample_distinct, static_argnums=2)
 WEIGH = jax.jit(lambda buffer, marked, share: ring.share_weight(buffer.held, marked, share))
 
 
-def stored(buffer):
-    return sorted(np.asarray(buffer.data["x"])[: int(buffer.size)].tolist())
+BLOCKS, DRAWN = 12, 32
 
 
-def test_keeps_the_newest_and_skips_what_is_masked():
-    buffer = ring.init(5, {"x": jax.ShapeDtypeStruct((), jnp.int32)})
-    assert buffer.size == 0
-    buffer = ring.add(buffer, {"x": jnp.arange(1, 5)}, jnp.array([True, False, True, True]))
-    assert stored(buffer) == [1, 3, 4]
-    buffer = jax.jit(ring.add)(buffer, {"x": jnp.arange(5, 9)}, jnp.ones(4, bool))
-    assert stored(buffer) == [4, 5, 6, 7, 8]
-    assert (int(buffer.added), int(buffer.size)) == (7, 5)
+@partial(jax.jit, static_argnums=(0, 1))
+def filled(capacity, block, masks, forgotten, key):
+    """A buffer of numbers after each of some blocks, before which it may be emptied, and draws."""
+
+    def add(buffer, now):
+        mask, forget, first, key = now
+        buffer = transitions().forget(buffer, forget)
+        items = {"x": first + jnp.arange(mask.size).reshape(block)}
+        buffer = ring.add(buffer, items, mask)
+        key, key_distinct = jax.random.split(key)
+        drawn = ring.sample(buffer, key, (DRAWN,))["x"]
+        distinct = ring.sample_distinct(buffer, key_distinct, capacity)["x"]
+        return buffer, (buffer.data["x"], buffer.held, buffer.size, drawn, distinct)
+
+    firsts = 1 + jnp.arange(BLOCKS) * masks[0].size
+    empty = ring.init(capacity, {"x": jnp.int32(0)})
+    keys = jax.random.split(key, BLOCKS)
+    return jax.lax.scan(add, empty, (masks, forgotten, firsts, keys))[1]
+
+
+@given(data=st.data(), sizes=st.sampled_from([(1, (1,)), (5, (3,)), (13, (2, 4))]))
+@settings(max_examples=50)
+def test_it_holds_what_a_list_would_hold(data, sizes):
+    """The newest of what was not masked since it was last emptied, and draws nothing else."""
+    capacity, block = sizes
+    count = int(np.prod(block))
+    bits = st.integers(0, 2**count - 1)
+    drawn = data.draw(st.lists(bits, min_size=BLOCKS, max_size=BLOCKS))
+    masks = (np.array(drawn)[:, None] >> np.arange(count)) % 2 == 1
+    often = data.draw(st.integers(1, BLOCKS + 1))
+    forgotten = np.arange(1, BLOCKS + 1) % often == 0
+    key = jax.random.key(data.draw(st.integers(0, 99)))
+    answers = filled(capacity, block, masks.reshape(BLOCKS, *block), forgotten, key)
+    kept = []
+    stages = zip(*map(np.asarray, answers), strict=True)
+    for time, (rows, held, size, drawn, distinct) in enumerate(stages):
+        kept = [] if forgotten[time] else kept
+        kept += [1 + time * count + item for item in np.flatnonzero(masks[time]).tolist()]
+        expected = kept[-capacity:]
+        assert sorted(rows[held].tolist()) == expected
+        assert size == len(expected)
+        if expected:
+            assert set(drawn.tolist()) <= set(expected)
+        assert Counter(distinct.tolist()) == Counter(expected + [0] * (capacity - len(expected)))
+
+
+@given(
+    weights=st.lists(st.one_of(st.just(0.0), st.floats(1e-3, 1e3)), min_size=1, max_size=8),
+    gap=st.sampled_from([1, 3, 60]),
+    key=st.integers(0, 99),
+)
+@settings(max_examples=40)
+def test_draws_are_in_proportion_to_any_weights(weights, gap, key):
+    """Over several rows of them too; what weighs nothing is never drawn where anything weighs."""
+    weight = np.zeros(600, np.float32)
+    weight[gap * np.arange(len(weights))] = weights
+    positions = np.asarray(DRAW(weight, jax.random.key(key), (800,)))
+    if not any(weights):
+        assert ((positions >= 0) & (positions < weight.size)).all()
+        return
+    shares = weight / weight.sum()
+    counts = np.bincount(positions, minlength=weight.size)
+    assert (counts[shares == 0] == 0).all()
+    spread = np.sqrt(shares * (1 - shares) / len(positions))
+    assert (np.abs(counts / len(positions) - shares) <= 5 * spread + 2e-4).all()
 
 
 def test_flattens_leading_axes_of_every_leaf():
@@ -98,14 +160,6 @@ def test_clear_errors():
         ring.add(ring.init(3, jnp.zeros(())), jnp.zeros(2), jnp.ones(2))
     with pytest.raises(AssertionError, match="shape"):
         ring.add(ring.init(9, jnp.zeros(())), jnp.zeros(6), jnp.ones((2, 3), bool))
-
-
-def test_what_is_not_held_comes_as_zeros_even_where_something_lay():
-    buffer = ring.add(
-        ring.init(10, {"x": jnp.int32(0)}), {"x": 50 + jnp.arange(10)}, jnp.ones(10, bool)
-    )
-    buffer = ring.add(replace(buffer, added=jnp.int32(0)), {"x": jnp.array([7])}, jnp.ones(1, bool))
-    assert sorted(DISTINCT(buffer, jax.random.key(0), 4)["x"].tolist()) == [0, 0, 0, 7]
 
 
 def test_any_number_of_items_is_counted():
