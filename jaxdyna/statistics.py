@@ -36,10 +36,9 @@ class SolveRule:
     def __post_init__(self) -> None:
         check(self)
 
-    @property
-    def level(self) -> float:
-        """What the mean of `score` has to reach."""
-        return self.threshold if self.share_of is None else 0.0
+    def reached(self, mean: np.ndarray) -> np.ndarray:
+        """Whether a mean of `score` is as high as asked for, but for rounding."""
+        return mean >= (self.threshold if self.share_of is None else 0.0) - 1e-9
 
     def score(self, curves: Mapping[str, np.ndarray]) -> np.ndarray:
         """Of every episode, ``[seeds, episodes]``: its return, or how far it is above its share."""
@@ -72,7 +71,7 @@ def episodes_to_solve(returns: np.ndarray, rule: SolveRule) -> np.ndarray:
     if returns.shape[-1] < rule.window:
         return np.full(returns.shape[:-1], np.inf)
     means = running_mean(returns, rule.window)[..., rule.window - 1 :]
-    reached = means >= rule.level - 1e-9
+    reached = rule.reached(means)
     return np.where(reached.any(-1), reached.argmax(-1) + rule.window, np.inf)
 
 

@@ -1,10 +1,14 @@
-"""Statistics against values worked out by hand."""
+"""Statistics against values worked out by hand, plain loops and SciPy."""
 
 import json
+from fractions import Fraction
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+from scipy.stats import binom, spearmanr
 
 from jaxdyna.experiments.report.summaries import describe_arm
 from jaxdyna.experiments.study.accuracy import Measure, describe
@@ -13,6 +17,7 @@ from jaxdyna.statistics import (
     bootstrap_interval,
     episodes_to_solve,
     mean_interval,
+    mean_of_runs,
     median_interval,
     rank_correlation,
     ratio_of_means,
@@ -20,6 +25,9 @@ from jaxdyna.statistics import (
     summarise,
 )
 
+NUMBERS = st.floats(-1e6, 1e6, allow_subnormal=False)
+NEEDED = st.one_of(st.integers(1, 5000).map(float), st.just(np.inf))
+"""Episodes that a run needed."""
 RULE = SolveRule(window=3, threshold=5.0)
 INF = np.inf
 
@@ -163,3 +171,120 @@ def test_rank_correlation():
     noise = np.array([[1.0, 9.0], [5.0, 5.0], [6.0, 2.0]])
     rank, low, high = rank_correlation(error, noise)
     assert -1 <= low <= rank <= high <= 1 and low < high
+
+
+@st.composite
+def played(draw):
+    """Returns of a few runs, NaN after the end of each, and a share of which there is a curve."""
+    unit = draw(st.sampled_from([1, 1 / 8, 0.1, 1e6]))
+    ends = draw(st.lists(st.integers(0, 12), min_size=1, max_size=4))
+    whole = st.lists(st.integers(-3, 3), min_size=12, max_size=12)
+    returns = unit * np.array([draw(whole) for _ in ends], float)
+    there = np.arange(12) < np.array(ends)[:, None]
+    threshold = unit * draw(st.integers(-3, 3)) * draw(st.sampled_from([1, 0.5]))
+    return np.where(there, returns, np.nan), SolveRule(draw(st.integers(1, 14)), threshold)
+
+
+@given(played=played())
+@example(played=(np.full((1, 50), 0.1), SolveRule(50, 0.1)))
+@settings(max_examples=100)
+def test_solving_and_holding_agree_with_plain_loops(played):
+    """Any window and threshold, runs of any length; sums are exact there."""
+    returns, rule = played
+    lengths = np.where(np.isnan(returns), np.nan, 1.0 + np.arange(returns.shape[1]))
+    least = Fraction(rule.threshold) - Fraction(1e-9)
+    expected, held = [], 0
+    for run in returns:
+        own = [Fraction(value) for value in run[~np.isnan(run)]]
+        ends = range(rule.window, len(own) + 1)
+        means = {end: sum(own[end - rule.window : end]) / rule.window for end in ends}
+        expected.append(next((end for end, mean in means.items() if mean >= least), np.inf))
+        last = own[-50:]
+        held += expected[-1] < np.inf and sum(last) / len(last) >= least
+    assert episodes_to_solve(returns, rule).tolist() == expected
+    if not np.isnan(returns[:, 0]).any():
+        curves = {"real_return": returns, "real_length": lengths}
+        arm = describe_arm(curves, rule, budget=returns.shape[1])
+        assert arm["solved_and_held"] == held
+        before = [sum(range(1, int(end) - rule.window + 1)) if np.isfinite(end) else None
+                  for end in expected]  # fmt: skip
+        assert arm["real_steps_to_solve"]["per_seed"] == before
+
+
+@given(values=st.lists(NEEDED, min_size=1, max_size=12), budget=st.integers(1, 9999))
+@settings(max_examples=60)
+def test_what_runs_say_together_lies_within_them(values, budget):
+    values = np.array(values)
+    said, known = summarise(values, at_least=budget), values[np.isfinite(values)]
+    assert said["per_seed"] == [value if np.isfinite(value) else None for value in values]
+    assert said["mean"] == (pytest.approx(values.mean()) if len(known) == len(values) else None)
+    assert said["solved"] == len(known)
+    at_their_bound = [*known, *[budget] * (len(values) - len(known))]
+    assert said["restricted_mean"] == pytest.approx(np.mean(at_their_bound))
+    middle = said["median"] or np.inf
+    for interval in (said["ci95"], said["median_ci95"]):
+        low, high = (end or np.inf for end in interval or (values.min(), values.max()))
+        assert values.min() <= low <= high <= values.max()
+    assert low <= middle <= high
+    turned = summarise(values[::-1], at_least=budget)
+    same = ("mean", "median", "median_ci95", "solved")
+    assert [turned[name] for name in same] == [said[name] for name in same]
+
+
+def test_a_medians_interval_covers_it_as_often_as_it_says_and_no_wider():
+    """Its ranks, for any number of runs, by the binomial's own sums."""
+    for count in range(1, 60):
+        interval = median_interval(np.arange(1.0, count + 1))
+        covers = [binom.cdf(count - rank, count, 0.5) - binom.cdf(rank - 1, count, 0.5)
+                  for rank in range(1, count // 2 + 1)]  # fmt: skip
+        good = [rank for rank, share in enumerate(covers, start=1) if share >= 0.95]
+        assert interval == ([good[-1], count + 1 - good[-1]] if good else None), count
+
+
+@given(
+    left=st.lists(NEEDED, min_size=1, max_size=8), right=st.lists(NEEDED, min_size=1, max_size=8),
+    bound=st.integers(5000, 9999), data=st.data(),
+)  # fmt: skip
+@settings(max_examples=60)
+def test_a_ratio_turns_over_with_its_arms(left, right, bound, data):
+    """And is the same in whatever order the runs come."""
+    left, right = np.array(left), np.array(right)
+    known = np.isfinite(left).all()
+    ratio = ratio_of_means(left, right, bound)
+    assert ratio["bound"] == (not np.isfinite(right).all())
+    assert (ratio["ratio"] is None) == (not known)
+    filled = np.where(np.isfinite(right), right, bound)
+    back = ratio_of_means(filled, left)
+    if known:
+        assert ratio["ratio"] == pytest.approx(left.mean() / filled.mean())
+        assert ratio["ratio"] * back["ratio"] == pytest.approx(1)
+        turned = [data.draw(st.permutations(arm.tolist())) for arm in (left, right)]
+        again = ratio_of_means(*map(np.array, turned), bound)
+        assert again["ratio"] == pytest.approx(ratio["ratio"])
+        low, high = ratio["ci95"]
+        if low is not None:
+            most = left.max() / filled.min()
+            assert left.min() / filled.max() * (1 - 1e-9) <= low <= high <= most * (1 + 1e-9)
+
+
+@given(
+    values=st.lists(st.lists(NUMBERS, min_size=4, max_size=4), min_size=3, max_size=6),
+    missing=st.integers(0, 3),
+)
+@settings(max_examples=40)
+def test_correlation_and_means_agree_with_scipy_and_numpy(values, missing):
+    left = np.array(values)
+    right = np.roll(left, 1, axis=0)[:, ::-1]
+    means = left.mean(1), right.mean(1)
+    assume(min(map(np.ptp, means)) > 0)
+    rank, low, high = rank_correlation(left, right)
+    assert rank == pytest.approx(spearmanr(*means).statistic)
+    assert -1 <= low <= high <= 1
+    ends = mean_interval(left)
+    slack = 1e-9 * np.abs(left).max()
+    assert (left.min(0) - slack <= ends[0]).all() and (ends[1] <= left.max(0) + slack).all()
+    some = left[:, 0].copy()
+    some[:missing] = np.nan
+    said = mean_of_runs(some)
+    assert said["mean"] == (pytest.approx(np.nanmean(some)) if missing < len(some) else None)
+    assert said["per_seed"] == [None if np.isnan(value) else value for value in some]

@@ -29,7 +29,7 @@ def describe_arm(curves: Curves, rule: SolveRule, budget: int) -> Results:
     solved = np.isfinite(solved_at)
     steps = statistics.steps_before(curves["real_length"], first)
     played = np.isfinite(returns).sum(-1)
-    held, reached = last_mean(score, HELD_EPISODES), score >= rule.level
+    held, reached = last_mean(score, HELD_EPISODES), rule.reached(score)
     first_at = np.where(reached.any(1), reached.argmax(1) + 1.0, np.inf)
     return {
         "episodes_to_solve": summarise(solved_at, at_least=budget),
@@ -37,7 +37,7 @@ def describe_arm(curves: Curves, rule: SolveRule, budget: int) -> Results:
         "real_steps_to_solve": summarise(steps, at_least=np.nansum(curves["real_length"], -1)),
         "first_at_threshold": summarise(first_at, at_least=budget),
         "final_return": summarise(last_mean(returns, rule.window), solved),
-        "solved_and_held": int((solved & (held >= rule.level)).sum()),
+        "solved_and_held": int((solved & rule.reached(held)).sum()),
         "episodes_played": {"mean": float(played.mean()), "per_seed": played.tolist()},
         "solve_rule": str(rule),
     }
