@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from parts import ENV, perfect_predict, random_act
 
 from jaxdyna import rollout
@@ -507,8 +509,54 @@ def test_moments_far_from_zero():
     moments = take_in(values)
     np.testing.assert_allclose(moments.mean, values.mean(), rtol=1e-6)
     np.testing.assert_allclose(moments.std, 1, rtol=0.05)
-    halves = take_in(jnp.stack([jnp.zeros((32, 1)), jnp.ones((32, 1))]))
-    np.testing.assert_allclose([*halves.mean, *halves.std], 0.5, rtol=1e-6)
+
+
+BATCHES, ROWS = 4, 6
+SCALED = supervised(2, 2, SupervisedConfig(hidden=(2,), delta=True, normalise=True))
+
+
+@jax.jit
+def scales_after(obs, next_obs, masks):
+    """The moments of a model after batches ``[BATCHES, ROWS, 2]``."""
+    hparams = SupervisedHParams()
+
+    def update(state, batch):
+        obs, next_obs, mask = batch
+        no = jnp.zeros(ROWS, bool)
+        seen = Transition(obs, no.astype(int), jnp.zeros(ROWS), next_obs, no, no, mask)
+        return SCALED.update(state, seen, jax.random.key(0), hparams)[0], None
+
+    start = SCALED.init(jax.random.key(0), hparams)
+    params = jax.lax.scan(update, start, (obs, next_obs, masks))[0].params
+    return params.inputs, params.inputs.std, params.targets, params.targets.std
+
+
+@given(
+    noise=st.integers(0, 99), offset=st.sampled_from([0.0, -3.0, 1e4]), moves=st.booleans(),
+    kept=st.lists(st.integers(0, 2**ROWS - 1), min_size=BATCHES, max_size=BATCHES),
+    poison=st.sampled_from([np.nan, np.inf, 1e30]),
+)  # fmt: skip
+@settings(max_examples=50)
+def test_moments_are_those_of_all_batches(noise, offset, moves, kept, poison):
+    """Wherever the values lie; a batch counts once, however few of its rows are not masked."""
+    masks = (np.array(kept)[:, None] >> np.arange(ROWS)) % 2 == 1
+    shape = (BATCHES, ROWS, 2)
+    drawn = np.random.default_rng(noise).normal(size=(2, *shape))
+    obs = np.float32(offset + moves * drawn[0])
+    next_obs = np.float32(obs + 1 + moves * drawn[1])
+    change = (next_obs - obs).astype(np.float64)
+    rows = [(batch, mask) for batch, mask in enumerate(masks) if mask.any()]
+    wrong = np.where(masks[..., None], 0, np.float32(poison))
+    inputs, input_std, targets, target_std = scales_after(obs + wrong, next_obs + wrong, masks)
+    for moments, std, values in ((inputs, input_std, obs), (targets, target_std, change)):
+        assert moments.batches == len(rows)
+        parts = [values[batch, mask].astype(np.float64) for batch, mask in rows]
+        mean = np.mean([part.mean(0) for part in parts], 0) if parts else np.zeros(2)
+        squares = [np.square(part - mean).mean(0) for part in parts] or [np.ones(2)]
+        expected = np.sqrt(np.mean(squares, 0))
+        np.testing.assert_allclose(moments.mean, mean, rtol=1e-6, atol=1e-5)
+        expected = np.where(expected > 0, expected, 1)  # of what never moved nothing is known
+        np.testing.assert_allclose(std, expected, rtol=2e-2 if offset == 1e4 else 1e-4)
 
 
 def test_padding_has_no_moments():

@@ -1,9 +1,11 @@
-"""The equations against values worked out by hand."""
+"""The equations against values worked out by hand, and against plain loops."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from jaxdyna.agents.cloning import cross_entropy_loss, margin_loss
 from jaxdyna.agents.reinforce import over_batch, per_step, within_episode
@@ -86,6 +88,96 @@ def test_per_step_leaves_equal_episodes_alone_and_a_single_one_to_itself():
     np.testing.assert_array_equal(per_step(returns, jnp.ones((4, 3), bool)), np.zeros((4, 3)))
     alone = (returns[:1], jnp.ones((1, 3), bool))
     np.testing.assert_array_equal(per_step(*alone), within_episode(*alone))
+
+
+SHAPE = (3, 5)
+NUMBERS = st.floats(-100, 100, width=32, allow_subnormal=False)
+POISON = st.sampled_from([np.nan, np.inf, -np.inf, 1e30])
+RETURNS = jax.jit(jax.vmap(discounted_returns, (0, None)))
+ADVANTAGES = jax.jit(lambda *args: [of(*args) for of in (within_episode, over_batch, per_step)])
+STANDARDISE, TD = jax.jit(standardise), jax.jit(td_error)
+SLOPES = jax.jit(jax.grad(td_error, (0, 4)))
+
+
+def standardised(values):
+    """Of a list; nothing but zeros where all are alike."""
+    values = np.array(values, np.float64)
+    if len(values) == 0 or np.ptp(values) == 0:
+        return np.zeros(len(values))
+    return (values - values.mean()) / (values.std() + 1e-6)
+
+
+@st.composite
+def padded(draw):
+    """Numbers ``[3, 5]`` of episodes that end at any step, anything after that, and a mask."""
+    lengths = np.array(draw(st.tuples(*[st.integers(0, SHAPE[1])] * SHAPE[0])))
+    mask = np.arange(SHAPE[1]) < lengths[:, None]
+    numbers = draw(st.lists(NUMBERS, min_size=mask.size, max_size=mask.size))
+    values = np.reshape(np.array(numbers, np.float32), SHAPE)
+    return np.where(mask, values, np.float32(draw(POISON))), mask
+
+
+@given(padded(), st.sampled_from([0.0, 0.5, 0.97, 1.0]))
+@settings(max_examples=60)
+def test_returns_are_the_sums_that_a_loop_makes(given_, discount):
+    rewards, mask = given_
+    rewards = np.where(mask, rewards, 0)
+    ours = RETURNS(rewards, discount)
+    theirs = [[sum(discount**n * reward for n, reward in enumerate(row[t:].tolist()))
+               for t in range(len(row))] for row in rewards]  # fmt: skip
+    np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-3)
+
+
+@given(padded())
+@settings(max_examples=60)
+def test_advantages_are_those_of_a_loop_and_padding_never_counts(given_):
+    returns, mask = given_
+    exact = returns.astype(np.float64)
+    within, over, step = ADVANTAGES(returns, mask)
+    own = [np.concatenate([standardised(row[there]), np.zeros((~there).sum())])
+           for row, there in zip(exact, mask, strict=True)]  # fmt: skip
+    together = np.zeros(SHAPE)
+    together[mask] = standardised(exact[mask])
+    centred, apart = np.zeros(SHAPE), np.zeros(SHAPE)
+    for time in range(SHAPE[1]):
+        got_there = mask[:, time]
+        if got_there.any():
+            centred[got_there, time] = exact[got_there, time] - exact[got_there, time].mean()
+    spread = centred[mask].std() if mask.any() else 0.0
+    assume(spread == 0 or spread > 1e-3)  # else a difference is rounding's
+    apart[mask] = standardised(centred[mask])
+    for ours, theirs in ((within, own), (over, together), (step, apart)):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=2e-3)
+        assert not np.asarray(ours)[~mask].any()
+
+
+@given(padded(), st.sampled_from([0.01, 3.0, 1000.0]), st.sampled_from([0.0, -7.5, 1e4]))
+@settings(max_examples=60)
+def test_standardised_values_know_no_scale_and_no_place(given_, scale, shift):
+    values, mask = given_
+    assume(mask.any() and values[mask].std() * min(scale, 1) > 0.1)
+    first = STANDARDISE(values, mask)
+    moved = STANDARDISE(np.float32(scale) * values + np.float32(shift), mask)
+    np.testing.assert_allclose(first, moved, rtol=1e-2, atol=2e-2)
+    there = np.asarray(first)[mask]
+    np.testing.assert_allclose([there.mean(), there.std()], [0, 1], atol=1e-3)
+    np.testing.assert_allclose(STANDARDISE(-values, mask), -first, atol=1e-5)
+
+
+@given(
+    values=st.lists(st.tuples(NUMBERS, NUMBERS, NUMBERS), min_size=4, max_size=4),
+    action=st.integers(0, 3), reward=NUMBERS, discount=st.sampled_from([0.0, 0.9, 1.0]),
+)  # fmt: skip
+@settings(max_examples=60)
+def test_td_errors_are_those_of_a_loop(values, action, reward, discount):
+    now, then, choice = np.array(values, np.float32).T
+    best = max(range(4), key=lambda other: (choice[other], -other))
+    ours = TD(now, action, reward, discount, then, choice)
+    expected = reward + discount * float(then[best]) - float(now[action])
+    np.testing.assert_allclose(ours, expected, rtol=1e-5, atol=1e-4)
+    slopes = SLOPES(now, action, reward, discount, then, choice)
+    np.testing.assert_array_equal(slopes[0], -np.eye(4)[action])  # the target is a constant
+    assert not slopes[1].any()
 
 
 ROW, ROWS, ACTIONS, ONE = jnp.ones(3), jnp.ones((3, 2)), jnp.zeros(3, int), jnp.float32(1)
