@@ -21,7 +21,8 @@ import numpy as np
 T = TypeVar("T")
 MISSING = dataclasses.MISSING
 LARGEST = 2**31 - 1
-"""The most that a whole number may be whose range has no end: what JAX counts by is int32."""
+MOST = 3.4e38
+"""The most that whole numbers, and others, may be whose range has no end: int32, and float32."""
 _DECLARED = "jaxdyna"
 _NAMES = {bool: "True or False", int: "a whole number", float: "a number", str: "text"}
 
@@ -168,7 +169,7 @@ def check(settings: Any, prefix: str = "") -> None:
 def _wanted_instead(leaf: Leaf) -> str | None:
     """What the value must be, where it is something else."""
     parts = tuple(_parts(leaf.value))
-    numbers = [part for part in parts if isinstance(part, int | float | np.number)]
+    numbers: list[Any] = [part for part in parts if isinstance(part, int | float | np.number)]
     words = [part for part in parts if isinstance(part, str)]
     kinds = _union(leaf.hint)
     if leaf.choices and any(word not in leaf.choices.values() for word in words):
@@ -179,8 +180,9 @@ def _wanted_instead(leaf: Leaf) -> str | None:
         return "not be empty"
     if not all(leaf.range.holds(number) for number in numbers):
         return f"be {leaf.range}{', or None' if NoneType in kinds else ''}"
-    if leaf.range.high is None and float not in kinds and any(n > LARGEST for n in numbers):
-        return f"be at most {LARGEST}"
+    most = MOST if float in kinds else LARGEST
+    if leaf.range.high is None and any(most < abs(n) < math.inf for n in numbers):
+        return f"be at most {most:.12g}"
     return None
 
 

@@ -194,7 +194,7 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
         (["--part", "readings", "--episodes", "50"], "lower N or raise"),
         (["--part", "accuracy", "--episodes", "50"], "lower N or raise"),
         (["--part", "levers", "--episodes", "2"], "lower N or raise"),
-        (["--part", "readings", "--arms", "x"], "there is no arm x"),
+        (["--part", "readings", "--arms", "x"], "--arms x: there are"),
         (["--part", "readings", "--preset", "lean"], "there are tuned"),
         (["--part", "data", "--transitions", "0"], "at least 1"),
     ],

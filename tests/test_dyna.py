@@ -162,7 +162,6 @@ def test_a_dreamed_world_knows_only_observed_starts(dyna_run):
     ("changes", "complaint"),
     [
         ({"num_episodes": -3}, "num_episodes is -3"),
-        ({"num_real_first": 7}, "lower N or raise"),
         ({"model_updates": -1}, "model_updates is -1: it must be at least 0"),
         ({"num_episodes": 2.5}, "must be a whole number"),
         ({"num_episodes": True}, "must be a whole number"),
@@ -207,3 +206,10 @@ def test_survived_by_hand():
     steps = Transition(no, no, no, no, no, no, ~no)
     assert survived(steps)
     assert not survived(steps._replace(terminated=no.at[1, 2].set(True)))
+
+
+def test_only_who_waits_for_the_first_dream_needs_so_many_episodes():
+    late = DynaConfig(**vars(SMALL) | {"num_real_first": 7})
+    make_init(MODEL_FREE, late), make_init(WITHOUT_DREAMS, late)
+    with pytest.raises(ValueError, match=r"num_real_first \(N\) is 7 but .* lower N or raise"):
+        make_train(DYNA, late)

@@ -1,10 +1,12 @@
+import importlib
 import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from types import NoneType
+from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +14,28 @@ import numpy as np
 import optax
 import pytest
 from flax import struct
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from jaxdyna import agents, envs, models, planners
 from jaxdyna.agents.cloning import margin_loss
 from jaxdyna.agents.reinforce import per_step
 from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs.pong_screen import CHANNELS
-from jaxdyna.fields import SettingError, changed, check, leaves, plain, restored, setting, value_at
+from jaxdyna.experiments.engine import Study
+from jaxdyna.fields import (
+    LARGEST,
+    MOST,
+    SettingError,
+    _union,
+    changed,
+    check,
+    leaves,
+    plain,
+    restored,
+    setting,
+    value_at,
+)
 from jaxdyna.losses import PixelLoss, l1
 from jaxdyna.models.adversarial import gan_adam
 from jaxdyna.networks import EncoderDecoder, GlimpseQ, JointReward, Resolution
@@ -105,6 +122,7 @@ OUTER = Outer()
         ("inner.rule", 3, "a function"),
         ("rates.rate", -0.1, "rates.rate is -0.1: it must be at least 0"),
         ("rates.rate", math.inf, "at least 0"),
+        ("rates.rate", 1e300, r"rates.rate is 1e\+300: it must be at most 3.4e\+38"),
         ("rates.limit", 0, "rates.limit is 0: it must be above 0"),
         ("rates.limit", math.nan, "above 0"),
         ("arms", ("a", "c"), "one of a, b"),
@@ -282,11 +300,89 @@ def test_json_of_another_experiment_is_refused():
 
 
 def test_everyday_settings_are_few():
-    for settings, count in (
+    for trees, count in (
         ((ALL["dyna"], ALL["reinforce"], ALL["supervised"], *CARTPOLE), 12),
         ((ALL["dyna"], ALL["dqn"], agents.DQNHParams(), models.PixelHParams()), 13),
     ):
-        shown = [leaf for part in settings for leaf in leaves(part) if leaf.everyday]
+        shown = [leaf for part in trees for leaf in leaves(part) if leaf.everyday]
         assert len(shown) == count
-    for settings in ALL.values():
-        assert all(leaf.help.endswith(".") for leaf in leaves(settings))
+    for tree in ALL.values():
+        assert all(leaf.help.endswith(".") for leaf in leaves(tree))
+
+
+WORLDS = ("cartpole", "maze", "pong", "catch", "planning", "benchmark")
+PRESETS = {
+    f"{world} {part.name} {name}": preset
+    for world in WORLDS
+    for part in importlib.import_module(f"jaxdyna.experiments.{world}").PARTS
+    for name, preset in (part.experiment() if isinstance(part, Study) else part).presets.items()
+}
+TREES = [{leaf.path: leaf for leaf in leaves(tree)} for tree in [*ALL.values(), *PRESETS.values()]]
+
+
+def whole(leaf):
+    """Whole numbers within a setting's range."""
+    where = leaf.range
+    low = -LARGEST if where.low is None else math.floor(where.low) + where.above
+    high = LARGEST if where.high is None else math.ceil(where.high) - where.below
+    return st.integers(low, high)
+
+
+def number(leaf):
+    """Others."""
+    where = leaf.range
+    low, high = (-MOST if where.low is None else where.low), where.high or MOST
+    floats = st.floats(
+        low, high, exclude_min=where.above, exclude_max=where.below, allow_nan=False,
+        allow_infinity=False,
+    )  # fmt: skip
+    return st.one_of(floats, st.just(math.inf)) if where.infinite else floats
+
+
+def possible(leaf, hint):
+    """Values of a type that a setting may have, by its declaration; none where nothing is said."""
+    return st.one_of([of_kind(leaf, kind) for kind in _union(hint)])
+
+
+def of_kind(leaf, kind):
+    """The same of a type that is no union."""
+    inner = get_args(kind)
+    if get_origin(kind) is tuple and inner[1:] == (Ellipsis,):
+        return st.lists(possible(leaf, inner[0]), min_size=not leaf.empty, max_size=3).map(tuple)
+    if get_origin(kind) is tuple:
+        return st.tuples(*[possible(leaf, part) for part in inner])
+    if leaf.choices and kind is not NoneType:
+        return st.sampled_from([*leaf.choices.values()])
+    known = {
+        bool: st.booleans(), int: whole(leaf), float: number(leaf), NoneType: st.none(),
+        str: st.text(max_size=5), Path: st.sampled_from([Path("runs/x"), Path("inf"), Path("a b")]),
+    }  # fmt: skip
+    return known.get(kind, st.just(kind) if isinstance(kind, str) else st.nothing())
+
+
+@given(data=st.data(), tree=st.one_of(st.just(1), st.integers(0, len(TREES) - 1)))
+@settings(max_examples=100)
+def test_whatever_may_be_set_is_kept_and_comes_back(data, tree):
+    """Some settings of any tree, to anything that their declarations allow."""
+    before = [*ALL.values(), *PRESETS.values()][tree]
+    said = {}
+    for path in data.draw(st.lists(st.sampled_from([*TREES[tree]]), min_size=1, max_size=4)):
+        leaf = TREES[tree][path]
+        values = possible(leaf, leaf.hint)
+        assume(not values.is_empty and not isinstance(leaf.value, jax.Array))
+        said[path] = data.draw(values)
+    try:
+        now = changed(before, said)
+    except ValueError:
+        assume(False)  # with others it does not go together
+    for path, leaf in TREES[tree].items():
+        assert value_at(now, path) == said.get(path, leaf.value)
+    kept = json.loads(json.dumps(plain(now), allow_nan=False))
+    assert restored(before, kept) == now
+    step_by_step = before
+    try:
+        for path, value in said.items():
+            step_by_step = changed(step_by_step, {path: value})
+    except ValueError:
+        return
+    assert step_by_step == now

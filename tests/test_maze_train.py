@@ -113,7 +113,7 @@ def test_solve_rule_by_hand():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--size", "1"], "--size is 1: it must be at least 2"),
+        (["--size", "1"], "--size is 1: it must be between 2 and 1000"),
         (["--obstacles", "255"], "--obstacles is 255: there are 254"),
         (["--hparams.agent.discount", "1.5"], "--hparams.agent.discount"),
         (["--agent.batch", "0"], "--agent.batch is 0"),

@@ -199,7 +199,7 @@ def test_a_row_with_unsolved_runs_leaves_a_lower_bound():
     [
         (["--grounds", "moon"], "must be one of cartpole, maze"),
         (["--sizes.played", "0", "1"], "at least 1"),
-        (["--arms", "nobody"], "there is no arm nobody"),
+        (["--arms", "nobody"], "--arms nobody: there are"),
     ],
 )
 def test_bad_input_is_explained(arguments, said, capsys):

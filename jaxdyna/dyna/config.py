@@ -49,18 +49,9 @@ class DynaConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        if self.num_real_first > self.num_episodes:
-            raise SettingError(
-                "num_real_first",
-                f"(N) is {self.num_real_first} but there are only {self.num_episodes} episodes: "
-                "lower N or raise the number of episodes",
-            )
         if self.replay_capacity is not None and self.replay_capacity < self.num_steps:
-            raise SettingError(
-                "replay_capacity",
-                f"is {self.replay_capacity}: it must hold at least one episode of "
-                f"{self.num_steps} steps",
-            )
+            said = f"is {self.replay_capacity}: give at least one episode of {self.num_steps} steps"
+            raise SettingError("replay_capacity", said)
 
 
 @struct.dataclass

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxdyna.dyna.conditional import where_needed
 from jaxdyna.dyna.config import DynaConfig, DynaHParams
 from jaxdyna.dyna.parts import Dyna, DynaState, Metrics
+from jaxdyna.fields import SettingError
 from jaxdyna.replay import ring
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Key, Transition
@@ -31,7 +32,14 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
 
     Returns:
         ``init(key, hparams) -> state``.
+
+    Raises:
+        SettingError: where dreams, or an expert, would wait for more episodes than there are.
     """
+    first, episodes = config.num_real_first, config.num_episodes
+    if (dyna.dream or dyna.expert) and first > episodes:
+        said = f"(N) is {first} but there are only {episodes} episodes: lower N or raise these"
+        raise SettingError("dyna.num_real_first", said)
 
     def init(key: Key, hparams: DynaHParams) -> DynaState:
         key, key_agent, key_model = jax.random.split(key, 3)

@@ -72,11 +72,8 @@ class Catch(Discrete):
         """The ball in a random column: ``obs, state``."""
         del params
         column = jax.random.randint(key, (), 0, self.columns, jnp.int32)
-        state = CatchState(
-            ball=jnp.stack([jnp.int32(0), column]),
-            paddle=jnp.int32(self.columns // 2),
-            time=jnp.int32(0),
-        )
+        zero, middle = jnp.int32(0), jnp.int32(self.columns // 2)
+        state = CatchState(ball=jnp.stack([zero, column]), paddle=middle, time=zero)
         return self.observe(state), state
 
     def step(

@@ -138,14 +138,8 @@ class Maze(Pictures):
         reward = collision * params.collision_reward + at_goal * params.goal_reward
         truncated = state.time >= params.max_steps
         info = {"collision": collision, "at_goal": at_goal}
-        return (
-            self.frame(state),
-            state,
-            reward.astype(jnp.float32),
-            jnp.bool_(False),
-            truncated,
-            info,
-        )
+        reward, never = reward.astype(jnp.float32), jnp.bool_(False)
+        return self.frame(state), state, reward, never, truncated, info
 
     def patrol(self, obstacles: jax.Array, directions: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The obstacles' next cells ``[n, 2]`` and directions ``[n]``: nothing else moves them."""

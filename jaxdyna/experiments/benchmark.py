@@ -20,7 +20,9 @@ class SweepOptions(Options):
         ("arms", "seeds", "stop_after_solved", "block"), "what is measured"
     )
 
-    sizes: tuple[int, ...] = setting((10, 100, 1000), "numbers of runs", at_least=1, everyday=True)
+    sizes: tuple[int, ...] = setting(
+        (10, 100, 1000), "numbers of runs", at_least=1, at_most=10**6, everyday=True
+    )
     episodes: int = setting(150, "real episodes of each run", at_least=1, everyday=True)
 
 

@@ -33,8 +33,8 @@ class CatchOptions(Options):
         "agent.network": "the experiment",
     }
 
-    rows: int = setting(10, "of the board", at_least=3)
-    columns: int = setting(5, "of the board", at_least=2)
+    rows: int = setting(10, "of the board", at_least=3, at_most=1000)
+    columns: int = setting(5, "of the board", at_least=2, at_most=1000)
     widths: tuple[int, ...] = setting((16, 16), "channels of the model's 3x3 convolutions",
                                       at_least=1)  # fmt: skip
     dyna: DynaConfig = setting(factory=lambda: DynaConfig(

@@ -34,7 +34,7 @@ class Options:
     preset: str = setting("tuned", "whose settings are the defaults")
     quick: bool = setting(False, "whether it is a look at everything in minutes")
     arms: tuple[str, ...] = setting((), "what is played, all by default", everyday=True)
-    seeds: int = setting(10, "runs of every arm, computed in blocks", at_least=1, everyday=True)
+    seeds: int = setting(10, "runs of every arm", at_least=1, at_most=10**6, everyday=True)
     seed: int = setting(0, "base seed of all runs", at_least=0, at_most=2**32 - 1, everyday=True)
     episodes: int = setting(1000, "real episodes of a run at the most", at_least=1, everyday=True)
     stop_after_solved: int | None = setting(
@@ -230,7 +230,7 @@ def chosen(every: Sequence[Entry], asked: Sequence[str]) -> list[Entry]:
     known = {name for entry in every for name in entry.names[:2]}
     of = {ask: [entry for entry in every if ask in entry.names] for ask in asked}
     if unknown := [ask for ask, found in of.items() if not found]:
-        raise ValueError(f"there is no arm {unknown[0]}; there are: {'; '.join(sorted(known))}")
+        raise ValueError(f"--arms {unknown[0]}: there are {'; '.join(sorted(known))}")
     return list({entry.name: entry for found in of.values() for entry in found}.values())
 
 

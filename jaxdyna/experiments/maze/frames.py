@@ -18,7 +18,7 @@ class MazeFrames(grids.GridOptions):
     channels: ClassVar = (2, 0, 1)
     dream_from: ClassVar = 10
 
-    size: int = setting(16, "cells a side of the maze", at_least=2)
+    size: int = setting(16, "cells a side of the maze", at_least=2, at_most=1000)
     obstacles: int = setting(5, "how many there are", at_least=0)
     collision_reward: float = setting(-5.0, "earned on a step that ends on an obstacle's cell")
     goal_reward: float = setting(1.0, "earned on a step that ends on the goal")

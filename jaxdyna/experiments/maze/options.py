@@ -28,7 +28,7 @@ class MazeOptions(Options):
         "cloning.capacity": "--shown-episodes",
     }  # fmt: skip
 
-    size: int = setting(16, "cells a side of the board", at_least=2, everyday=True)
+    size: int = setting(16, "cells a side of the board", at_least=2, at_most=1000, everyday=True)
     obstacles: int = setting(5, "how many obstacles", at_least=0, everyday=True)
     steps: int = setting(200, "steps of a real episode", at_least=1, everyday=True)
     network: Literal["convolutions", "glimpse"] = setting(

@@ -58,7 +58,7 @@ class PongFrames(world.GameOptions, FrameOptions):
     steps: int = setting(
         200, "steps of an episode; 21 points take longer", at_least=1, at_most=700, everyday=True
     )
-    dreams: int = setting(8, "dreams in each held-out episode", at_least=1)
+    dreams: int = setting(8, "dreams in each held-out episode", at_least=1, at_most=1000)
     paper: Training = setting(factory=lambda: Training(6000, 0, 32, 4e-3, 0.0, None),
                               help="training of Fig. 4")  # fmt: skip
     ours: Training = setting(factory=lambda: Training(6000, 0, 256, 2e-3, 0.1, None),

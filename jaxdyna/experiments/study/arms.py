@@ -10,6 +10,7 @@ import jax
 
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, make_init, make_step
 from jaxdyna.experiments.engine import Arm, Work
+from jaxdyna.fields import SettingError
 from jaxdyna.sweep import RUNS
 from jaxdyna.types import Agent, Key
 
@@ -60,6 +61,9 @@ def dyna_work(dyna: Dyna, config: DynaConfig, hooks: Hooks) -> Work:
 
 def dyna_arm(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, hooks: Hooks) -> Arm:
     """An arm of Dyna."""
+    if dyna.dream and hparams.num_real_first > config.num_episodes:
+        said = f"is {hparams.num_real_first}: there are only {config.num_episodes} episodes"
+        raise SettingError("hparams.num_real_first", said)
     return Arm(dyna_work(dyna, config, hooks), hparams, config.num_episodes)
 
 
