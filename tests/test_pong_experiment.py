@@ -244,6 +244,10 @@ def test_ratios_by_hand():
     assert said[0].startswith("dyna needs at most **0.50** of model_free's episodes")
     assert said[2] == "Not all runs of placebo, oracle solved: ratios to model_free are unknown."
     assert said[3].startswith("dyna needs **0.50** of more_updates's episodes")
+    late = {"model_free": arm([10, 10], [1, 1]), "dyna": arm([30, np.inf], [9, np.inf])}
+    assert comparisons({"arms": late}, {}) == [
+        "dyna needs at least **3.55** of model_free's episodes, because it has unsolved runs."
+    ]
     steps = comparisons({"arms": arms}, {}, "real_steps_to_solve")
     assert "**0.50** of model_free's real steps" in steps[0] and len(steps) == 4
 

@@ -84,10 +84,15 @@ def comparison(
     figure: str = "episodes_to_solve",
 ) -> list[str]:  # fmt: skip
     """The ratios to a baseline in words, a line an arm, the paper's own beside those it gives."""
-    lines, unknown = [], []
-    for name, ratio in compare(results["arms"], baseline, figure).items():
+    lines, unknown, arms = [], [], results["arms"]
+    for name, ratio in compare(arms, baseline, figure).items():
         if ratio["ratio"] is None:
-            unknown.append(name)
+            mean, least = arms[baseline][figure]["mean"], arms[name][figure]["restricted_mean"]
+            if mean is None or least is None:
+                unknown.append(name)
+            else:
+                said = f"at least **{least / mean:.2f}** of {baseline}'s {UNITS[figure]}"
+                lines.append(f"{name} needs {said}, because it has unsolved runs.")
             continue
         ends = interval(ratio["ci95"], 2)
         beside = [f"95% interval {ends}"] if ends != "-" else []
@@ -98,8 +103,8 @@ def comparison(
         found = f"{name} needs {most}**{ratio['ratio']:.2f}** of {baseline}'s {UNITS[figure]}"
         lines.append(f"{found}{why}{said}.")
     if unknown:
-        arms = ", ".join(unknown)
-        lines.append(f"Not all runs of {arms} solved: ratios to {baseline} are unknown.")
+        said = f"Not all runs of {', '.join(unknown)} solved: ratios to {baseline} are unknown."
+        lines.append(said)
     return lines
 
 
