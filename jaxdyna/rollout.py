@@ -64,7 +64,7 @@ def rollout(
         next_obs, next_state, reward, terminated, truncated, info = env.step(
             key_step, state, action, env_params
         )
-        reward = jnp.asarray(reward, float)
+        reward = jnp.asarray(reward) * 1.0
         if reward.shape:
             raise ValueError(
                 f"a step of {type(env).__name__} earns an array {reward.shape}: make it a scalar; "

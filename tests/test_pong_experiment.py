@@ -242,7 +242,9 @@ def test_ratios_by_hand():
     }  # fmt: skip
     said = comparisons({"arms": arms}, {})
     assert said[0].startswith("dyna needs at most **0.50** of model_free's episodes")
-    assert said[2] == "Not all runs of placebo, oracle solved: ratios to model_free are unknown."
+    assert said[2] == (
+        "Not all runs of model_free, placebo, oracle solved: ratios to model_free are unknown."
+    )
     assert said[3].startswith("dyna needs **0.50** of more_updates's episodes")
     late = {"model_free": arm([10, 10], [1, 1]), "dyna": arm([30, np.inf], [9, np.inf])}
     assert comparisons({"arms": late}, {}) == [

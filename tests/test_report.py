@@ -37,7 +37,7 @@ def rule(options):
 @pytest.mark.parametrize(("runs", "said"), [(5, True), (6, False)])
 def test_why_there_is_no_interval(runs, said, tmp_path):
     text = report.solving(rule)(record(tmp_path, [[0, 1, 1 + run] for run in range(runs)]))
-    assert ("There are no intervals" in text) == said
+    assert ("Figures of solving have no interval" in text) == said
 
 
 def test_a_threshold_that_no_episode_reached_is_told(tmp_path):

@@ -140,8 +140,9 @@ def test_a_models_error_is_of_the_episodes_with_dreams():
 
 def test_the_runs_of_a_ratio_are_resampled_each_arm_on_its_own():
     """In pairs the ratio of two equal arms would always be 1."""
-    runs = np.array([1.0, 3.0])
-    np.testing.assert_allclose(ratio_of_means(runs, runs)["ci95"], [1 / 3, 3])
+    runs = np.array([1.0, 3.0] * 3)
+    low, high = ratio_of_means(runs, runs)["ci95"]
+    assert low < 0.8 and high > 1.25
 
 
 def test_ratio_of_means():

@@ -151,7 +151,7 @@ def test_an_interrupted_sweep_is_reported_and_goes_on(play, tmp_path, capsys):
     rows = [f"| {label(f'dyna@{DREAMS}={value}')} |" in text for value in (1, 3)]
     assert rows == [True, False]
     assert f"**Interrupted: dyna@{DREAMS}=3 not finished; --resume goes on.**" in text
-    assert "There are no intervals" in text and f"| `{DREAMS}` | 1 3 |" in text
+    assert "Figures of solving have no interval" in text and f"| `{DREAMS}` | 1 3 |" in text
     lines = capsys.readouterr().out.splitlines()  # no terminal: a line a stage
     assert f"dyna@{DREAMS}=1: compiling" in lines
     assert main(POLE, argv=[*argv, "--resume"], prog="pole") == 0

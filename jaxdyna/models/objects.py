@@ -92,7 +92,7 @@ def rectangles(
     def predict(params: Any, obs: jax.Array, action: jax.Array, key: Key) -> Prediction:
         chex.assert_rank([obs, action], [3, 0])
         past = rectangles_of(obs[None], channels)
-        one_hot = jax.nn.one_hot(action[None], num_actions)
+        one_hot = jax.nn.one_hot(jnp.array([action]), num_actions)
         settle = _drawing(key) if config.draws else _likeliest
         odds, then, outcome = module.apply(params, past, one_hot, settle)  # type: ignore[misc]
         frame = jnp.where(drawn(then, (height, width))[0], 255, 0).astype(obs.dtype)

@@ -114,7 +114,7 @@ def pixels(
 
     def predict(params: Any, obs: jax.Array, action: jax.Array, key: Key) -> Prediction:
         chex.assert_rank([obs, action], [3, 0])
-        stack, one_hot = _scale(obs[None]), jax.nn.one_hot(action[None], num_actions)
+        stack, one_hot = _scale(obs[None]), jax.nn.one_hot(jnp.array([action]), num_actions)
         raw, features = module.apply(params, stack, one_hot, method="frame")
         believed = config.loss.probability(raw)
         bar = jax.random.uniform(key, raw.shape) if config.threshold is None else config.threshold

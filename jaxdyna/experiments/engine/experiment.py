@@ -33,7 +33,7 @@ class Options:
 
     preset: str = setting("tuned", "whose settings are the defaults")
     quick: bool = setting(False, "whether it is a look at everything in minutes")
-    arms: tuple[str, ...] = setting((), "what is played, all by default", everyday=True)
+    arms: tuple[str, ...] = setting((), "what is played", everyday=True)
     seeds: int = setting(10, "runs of every arm", at_least=1, at_most=10**6, everyday=True)
     seed: int = setting(0, "base seed of all runs", at_least=0, at_most=2**32 - 1, everyday=True)
     episodes: int = setting(1000, "real episodes of a run at the most", at_least=1, everyday=True)

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxdyna.experiments.report import tables
+from jaxdyna.statistics import FEW as FEW_RUNS
 from jaxdyna.statistics import carried, mean_interval, running_mean
 
 COLOURS = {
@@ -49,7 +50,7 @@ def learning_curves(
         numbers = np.arange(1, values.shape[1] + 1)
         panel.plot(numbers, smooth[:50].T, color=shade, alpha=0.18, linewidth=0.7)
         over = " (one that is over keeps its last value)" if np.isnan(values).any() else ""
-        said = f"mean of {len(values)} seeds{over}, 95% interval"
+        said = f"mean of {len(values)} seeds{over}, {shaded(values)}"
         band(panel, carried(smooth), shade, said)
         panel.axhline(threshold, color=MARK, linewidth=1, linestyle="--",
                       label=f"solved: {threshold:g}")  # fmt: skip
@@ -71,7 +72,7 @@ def bands(
     window: int | None = None, at: np.ndarray | None = None,
     dots: Mapping[str, Sequence[int]] | None = None, legend: str | None = None, **axes: Any,
 ) -> None:  # fmt: skip
-    """Means over seeds with their 95% intervals: panels by title, in each of them lines by name.
+    """Means over seeds, `shaded`: panels by title, in each of them lines by name.
 
     Args:
         path: the PNG.
@@ -185,10 +186,16 @@ def error_scatter(
 
 
 def band(panel: Axes, values: np.ndarray, shade: str, label: str, x: Any = None, **line: Any):
-    """The mean over seeds of ``[seeds, n]`` with its 95% interval, against 1 to n or ``x``."""
+    """The mean over seeds of ``[seeds, n]``, `shaded`, against 1 to n or ``x``."""
     x = np.arange(1, values.shape[1] + 1) if x is None else x
-    panel.fill_between(x, *mean_interval(values), color=shade, alpha=0.2, linewidth=0)
+    ends = mean_interval(values) if len(values) > FEW_RUNS else (values.min(0), values.max(0))
+    panel.fill_between(x, *ends, color=shade, alpha=0.2, linewidth=0)
     panel.plot(x, values.mean(0), color=shade, label=label, linewidth=1.6, **line)
+
+
+def shaded(values: np.ndarray) -> str:
+    """What is shaded around the mean of ``[seeds, n]``."""
+    return "95% interval" if len(values) > FEW_RUNS else "lowest to highest"
 
 
 def finish(

@@ -20,7 +20,7 @@ COUNTED = (
     "The rule is the same for all arms and counts every real episode. An unsolved run is never "
     "dropped: it leaves the mean undefined, of which only a lower bound (≥) is then known."
 )
-NONE_OF_FEW = "There are no intervals: of five runs or fewer none can be trusted."
+NONE_OF_FEW = "Figures of solving have no interval: of five runs or fewer none can be trusted."
 QUANTILES = (5, 50, 95, 99)
 WRONG = {
     "wrong_frames": "share of new frames predicted wrong",
@@ -109,8 +109,8 @@ def solved_share(record: Any, rule: Rule) -> str:
         at = episodes_to_solve(solves.score(curves), solves)
         played = int(np.isfinite(curves["real_return"]).sum(1).max())
         solved[name] = (at[:, None] <= np.arange(1, played + 1)).astype(float)
-    plots.bands(record.out / "solved.png", {"": solved}, "real episodes",
-                "share of the runs that have solved, 95% interval", ylim=(-0.02, 1.02))  # fmt: skip
+    said = f"share of the runs that have solved, {plots.shaded(at)}"
+    plots.bands(record.out / "solved.png", {"": solved}, "real episodes", said, ylim=(-0.02, 1.02))
     return "![share of the runs that have solved](solved.png)"
 
 
@@ -160,7 +160,8 @@ def swept(record: Any) -> str:
                   for (value,), name in zip(points, names, strict=True)}
             for arm, names in whole.items()
         }  # fmt: skip
-        axes = "real episodes (running mean of 20)", "return: mean of runs, 95% interval"
+        said = plots.shaded(np.array(record.results["runs"]["seeds"]))
+        axes = "real episodes (running mean of 20)", f"return: mean of runs, {said}"
         plots.bands(file, panels, *axes, window=20, legend=next(iter(sweep)))
     return f"![swept: {', '.join(sweep)}](sweep.png)"
 

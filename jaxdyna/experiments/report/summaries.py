@@ -84,12 +84,14 @@ def comparison(
     figure: str = "episodes_to_solve",
 ) -> list[str]:  # fmt: skip
     """The ratios to a baseline in words, a line an arm, the paper's own beside those it gives."""
-    lines, unknown, arms = [], [], results["arms"]
+    lines: list[str] = []
+    unknown: list[str] = []
+    arms = results["arms"]
     for name, ratio in compare(arms, baseline, figure).items():
         if ratio["ratio"] is None:
             mean, least = arms[baseline][figure]["mean"], arms[name][figure]["restricted_mean"]
             if mean is None or least is None:
-                unknown.append(name)
+                unknown += [name] if unknown or mean is not None else [baseline, name]
             else:
                 said = f"at least **{least / mean:.2f}** of {baseline}'s {UNITS[figure]}"
                 lines.append(f"{name} needs {said}, because it has unsolved runs.")
