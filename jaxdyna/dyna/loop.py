@@ -39,7 +39,7 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
     first, episodes = config.num_real_first, config.num_episodes
     if (dyna.dream or dyna.expert) and first > episodes:
         said = f"(N) is {first} but there are only {episodes} episodes: lower N or raise these"
-        raise SettingError("dyna.num_real_first", said)
+        raise SettingError("num_real_first", said)
 
     def init(key: Key, hparams: DynaHParams) -> DynaState:
         key, key_agent, key_model = jax.random.split(key, 3)

@@ -11,8 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxdyna.experiments.report import tables
-from jaxdyna.statistics import FEW as FEW_RUNS
-from jaxdyna.statistics import carried, mean_interval, running_mean
+from jaxdyna.statistics import FEW, carried, mean_interval, running_mean
 
 COLOURS = {
     "model_free": "#4c566a", "dyna": "#0f7b6c", "placebo": "#b5651d", "oracle": "#6a4c93",
@@ -22,7 +21,7 @@ COLOURS = {
     "true_opponent": "#888888", "true_frames": "#d4a017", "max_updates": "#e07b9a",
 }  # fmt: skip
 MARK, FAINT = "#c0392b", "#888888"
-FEW = 5
+MARKED = 5
 """Points of a line that are marked: of one alone nothing would be seen."""
 FIG5 = {
     "truth": {"color": "#d08770", "linewidth": 3.0, "label": "real environment"},
@@ -97,7 +96,7 @@ def bands(
     for panel, (title, lines) in zip(drawn.flat, panels.items(), strict=False):
         for name, values in lines.items():
             shown = carried(running_mean(values, window)) if window else values
-            marker = "o" if dots or shown.shape[1] <= FEW else None
+            marker = "o" if dots or shown.shape[1] <= MARKED else None
             band(panel, shown, shades[name], tables.label(name), at, marker=marker,
                  markersize=5, markevery=(dots or {}).get(name))  # fmt: skip
         panel.set(**axes)
@@ -188,14 +187,14 @@ def error_scatter(
 def band(panel: Axes, values: np.ndarray, shade: str, label: str, x: Any = None, **line: Any):
     """The mean over seeds of ``[seeds, n]``, `shaded`, against 1 to n or ``x``."""
     x = np.arange(1, values.shape[1] + 1) if x is None else x
-    ends = mean_interval(values) if len(values) > FEW_RUNS else (values.min(0), values.max(0))
+    ends = mean_interval(values) if len(values) > FEW else (values.min(0), values.max(0))
     panel.fill_between(x, *ends, color=shade, alpha=0.2, linewidth=0)
     panel.plot(x, values.mean(0), color=shade, label=label, linewidth=1.6, **line)
 
 
 def shaded(values: np.ndarray) -> str:
     """What is shaded around the mean of ``[seeds, n]``."""
-    return "95% interval" if len(values) > FEW_RUNS else "lowest to highest"
+    return "95% interval" if len(values) > FEW else "lowest to highest"
 
 
 def finish(

@@ -84,17 +84,15 @@ def comparison(
     figure: str = "episodes_to_solve",
 ) -> list[str]:  # fmt: skip
     """The ratios to a baseline in words, a line an arm, the paper's own beside those it gives."""
-    lines: list[str] = []
-    unknown: list[str] = []
-    arms = results["arms"]
+    arms, lines, unknown = results["arms"], [], []
     for name, ratio in compare(arms, baseline, figure).items():
         if ratio["ratio"] is None:
-            mean, least = arms[baseline][figure]["mean"], arms[name][figure]["restricted_mean"]
-            if mean is None or least is None:
-                unknown += [name] if unknown or mean is not None else [baseline, name]
-            else:
-                said = f"at least **{least / mean:.2f}** of {baseline}'s {UNITS[figure]}"
+            if mean := arms[baseline][figure]["mean"]:
+                least = arms[name][figure]["restricted_mean"] / mean
+                said = f"at least **{least:.2f}** of {baseline}'s {UNITS[figure]}"
                 lines.append(f"{name} needs {said}, because it has unsolved runs.")
+            else:
+                unknown.append(name)
             continue
         ends = interval(ratio["ci95"], 2)
         beside = [f"95% interval {ends}"] if ends != "-" else []
@@ -105,8 +103,8 @@ def comparison(
         found = f"{name} needs {most}**{ratio['ratio']:.2f}** of {baseline}'s {UNITS[figure]}"
         lines.append(f"{found}{why}{said}.")
     if unknown:
-        said = f"Not all runs of {', '.join(unknown)} solved: ratios to {baseline} are unknown."
-        lines.append(said)
+        unsolved = ", ".join([baseline, *unknown])
+        lines.append(f"Not all runs of {unsolved} solved: ratios to {baseline} are unknown.")
     return lines
 
 

@@ -64,7 +64,10 @@ def dyna_arm(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, hooks: Hooks)
     if dyna.dream and hparams.num_real_first > config.num_episodes:
         said = f"is {hparams.num_real_first}: there are only {config.num_episodes} episodes"
         raise SettingError("hparams.num_real_first", said)
-    return Arm(dyna_work(dyna, config, hooks), hparams, config.num_episodes)
+    try:
+        return Arm(dyna_work(dyna, config, hooks), hparams, config.num_episodes)
+    except SettingError as error:  # of the configuration, which is the option `dyna`
+        raise SettingError(f"dyna.{error.path}", error.said) from None
 
 
 def standard_arms(
