@@ -96,6 +96,17 @@ def test_a_turn_takes_the_whole_tick_and_exchanging_cells_is_no_collision():
     assert reward == -4  # on the goal and hit: both count
 
 
+def test_the_last_step_and_a_crowded_cell_by_hand():
+    def step(time):
+        cells = (1, 1), (3, 3), [(1, 2), (1, 2)]
+        parts = (*cells, [0, 0], time)
+        state = MazeState(*(jnp.asarray(part, jnp.int32) for part in parts))
+        params = MazeParams(max_steps=5)
+        return Maze(4, 2).step(jax.random.key(0), state, WAIT, params)[2:5]
+
+    assert [[float(part) for part in step(time)] for time in (3, 4)] == [[-5, 0, 0], [-5, 0, 1]]
+
+
 def test_starts_are_distinct_uniform_and_free():
     env = Maze(size=4, num_obstacles=5)
     keys = jax.random.split(jax.random.key(0), 4000)
