@@ -40,15 +40,14 @@ def learning_curves(
     unsolved, ``real_first`` N, where dreaming begins, ``window`` episodes in the running mean,
     ``what`` the returns are, on the axis.
     """
-    size = (5.2 * len(returns), 4.2)
-    shared: Any = {"sharex": True, "sharey": True, "squeeze": False}
-    figure, panels = subplots(1, len(returns), figsize=size, **shared)
+    figure, panels = laid_out(len(returns), sharex=True, sharey=True)
+    early = any(np.isnan(values).any() for values in returns.values())
+    over = " (one that is over keeps its last value)" if early else ""
     for letter, panel, name in zip("abcdefgh", panels.flat, returns, strict=False):
         values = returns[name]
         shade, smooth = colour(name), running_mean(values, window)
         numbers = np.arange(1, values.shape[1] + 1)
         panel.plot(numbers, smooth[:50].T, color=shade, alpha=0.18, linewidth=0.7)
-        over = " (one that is over keeps its last value)" if np.isnan(values).any() else ""
         said = f"mean of {len(values)} seeds{over}, {shaded(values)}"
         band(panel, carried(smooth), shade, said)
         panel.axhline(threshold, color=MARK, linewidth=1, linestyle="--",
@@ -61,7 +60,8 @@ def learning_curves(
         said = f"{len(solved)}/{len(solved_at[name])} solved"
         said += f", mean after {solved.mean():.0f}" if len(solved) == len(solved_at[name]) else ""
         finish(panel, f"({letter}) {tables.label(name)}: {said}", "real episodes", legend=False)
-    panels[0, 0].set_ylabel(f"{what} (running mean of {window} episodes)")
+    for panel in panels[:, 0]:
+        panel.set_ylabel(f"{what} (running mean of {window})")
     legend_above(figure, panels.flat)
     save(figure, path)
 
@@ -85,14 +85,9 @@ def bands(
         legend: its title.
         axes: of every panel, as ``matplotlib.axes.Axes.set`` takes them.
     """
-    columns = {1: 1, 2: 2, 4: 2}.get(len(panels), 3)
-    rows = -(-len(panels) // columns)
-    size = (2.2 + 3.4 * columns, 0.5 + 3.5 * rows)
-    figure, drawn = subplots(rows, columns, figsize=size, sharey=bool(y), squeeze=False)
+    figure, drawn = laid_out(len(panels), sharey=bool(y))
     names = list(dict.fromkeys(name for lines in panels.values() for name in lines))
     shades = dict(zip(names, colours(names), strict=True))
-    for spare in drawn.flat[len(panels) :]:
-        spare.remove()
     for panel, (title, lines) in zip(drawn.flat, panels.items(), strict=False):
         for name, values in lines.items():
             shown = carried(running_mean(values, window)) if window else values
@@ -262,6 +257,17 @@ def subplots(
     """A figure of its own and its panels; nothing of matplotlib's is set for the whole process."""
     figure = Figure(figsize=figsize, layout="constrained")
     return figure, figure.subplots(rows, columns, **shared)
+
+
+def laid_out(count: int, **shared: bool) -> tuple[Figure, np.ndarray]:
+    """A figure of so many panels in rows of three or fewer, and the panels ``[rows, columns]``."""
+    columns = {1: 1, 2: 2, 4: 2}.get(count, 3)
+    rows = -(-count // columns)
+    size = (2.2 + 3.4 * columns, 0.5 + 3.5 * rows)
+    figure, panels = subplots(rows, columns, figsize=size, squeeze=False, **shared)
+    for spare in panels.flat[count:]:
+        spare.remove()
+    return figure, panels
 
 
 def save(figure: Figure, path: Path) -> None:
