@@ -110,6 +110,7 @@ def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_
     assert again["budgets"] == results["budgets"]
 
 
+@pytest.mark.slow  # `.ci/run` plays mpc_init by its command
 def test_who_imitates_goes_on_alone_dreams_later_or_stays_as_it_is():
     few = {"dyna.num_real_first": 2, "shown_episodes": 2, "dyna.model_updates": 2, "episodes": 6,
            "mpc": ShootingConfig(2, 4), "dyna.dream_episodes": 2}  # fmt: skip

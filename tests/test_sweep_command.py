@@ -111,7 +111,8 @@ def test_what_decides_the_program_is_swept_in_several(play):
     assert [arm["dreams"] for arm in sweep[0]["arms"].values()] == [1, 3]
 
 
-@pytest.mark.parametrize("turned", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow  # of one field the others say so
+@pytest.mark.parametrize("turned", [False, True])
 def test_a_grid_is_every_value_with_every_other(play, turned):
     """As many programs as they need, in whichever order."""
     fields = [f"{RATE}=0.01,0.1", f"{DREAMS}=1,3"]
