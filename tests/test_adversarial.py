@@ -118,9 +118,8 @@ def test_a_discriminators_loss_by_hand():
     assert said["discriminator_accuracy"] == 1
 
 
-@pytest.mark.parametrize(
-    "config", [CONFIG, pytest.param(FIG4, marks=pytest.mark.slow)], ids=["local", "fig4"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("config", [CONFIG, FIG4], ids=["local", "fig4"])
 def test_a_weight_of_zero_is_the_squared_error_alone(batch, config):
     """To rounding, though the discriminator learns. Adam makes whole steps of the rounding in
     biases that BatchNorm takes out again: of Fig. 4 the losses are the same, not all the weights.

@@ -203,6 +203,7 @@ def test_bad_settings_end_in_one_line_and_code_2(arguments, complaint, capsys):
     assert complaint in refused(capsys, *arguments)
 
 
+@pytest.mark.slow
 def test_a_model_that_diverges_is_reported(tmp_path):
     assert play(tmp_path, "--arms", "dyna", "--hparams.model.learning-rate", "1e6") == 0
     model = json.loads((tmp_path / "results.json").read_text())["arms"]["dyna"]["model"]

@@ -310,7 +310,10 @@ def test_half_the_weight_moves_a_policy_half_as_far(name, episodes):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=pytest.mark.slow) if name == "paper" else name for name in MODELS],
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in ("paper", "scaled") else name
+        for name in MODELS
+    ],
 )
 def test_model_learns_the_world(name, episodes):
     """Full-batch training beats its start, and the better ones the guess of a mean change."""

@@ -155,6 +155,7 @@ def test_a_stage_is_a_run_of_the_same_program():
         changed(TUNED, {"paper.batch": 0})
 
 
+@pytest.mark.slow
 def test_a_stage_sees_its_own_episodes_only():
     key, new = jax.random.split(jax.random.key(0))
     world = grids.random_episodes(replace(SMALL, steps=12, horizon=2), rare_share=0.5)
