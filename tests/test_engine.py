@@ -295,21 +295,6 @@ def test_a_checkpoint_of_another_structure_is_refused(changes, leaf, tmp_path):
     assert leaf in str(error.value) and "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("damage", ["cut", "changed"])
-def test_a_checkpoint_that_is_not_whole_is_refused(damage, tmp_path):
-    engine, store = Engine(workers=1), Store(tmp_path)
-    with pytest.raises(Interrupted):
-        play(engine, [arm(making(2))], over=stopping_after(engine, 1), store=store)
-    path = tmp_path / "block0.npz"
-    content = path.read_bytes()
-    middle = content.index(b"state/")
-    middle = content.index(b"\n", middle) + 2  # in an array, past its header
-    changed = content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
-    path.write_bytes(content[:-200] if damage == "cut" else changed)
-    with pytest.raises(InputError, match="is not whole"):
-        play(Engine(programs=engine.programs), [arm(making(2))], store=store)
-
-
 def test_an_exception_in_a_block_stops_the_others_and_is_raised():
     told = []
 

@@ -62,19 +62,20 @@ def test_a_folder_of_the_users_is_left_alone(name, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "whose", [{"part": "frames"}, {"experiment": "maze", "part": "catch"}, {"config": None}]
+    "whose", [{"part": "frames"}, {"experiment": "maze", "part": "catch"}, {"experiment": None}]
 )
 def test_a_record_of_another_experiment_is_left_alone(whose, tmp_path):
     record(tmp_path, **whose)
-    if whose == {"config": None}:
-        (tmp_path / "results.json").write_text("[]")
     refused(tmp_path, "of no such run")
 
 
-def test_what_is_not_whole_is_left_alone(tmp_path):
+@pytest.mark.parametrize(
+    "text", ['{"experiment": ', "[]", "null", '{"checksum": "0"}', "[" * 10**5]
+)
+def test_what_is_not_whole_is_left_alone(text, tmp_path):
     record(tmp_path)
-    (tmp_path / "results.json").write_text('{"experiment": ')
-    refused(tmp_path, "results.json is not whole")
+    (tmp_path / "results.json").write_text(text)
+    refused(tmp_path, "results.json is damaged")
 
 
 def test_unfinished_work_goes_only_where_it_is_said(tmp_path):
@@ -84,7 +85,7 @@ def test_unfinished_work_goes_only_where_it_is_said(tmp_path):
     assert tree(tmp_path) == {}
 
 
-@pytest.mark.parametrize("left", [[], ["settings.json.part"]])
+@pytest.mark.parametrize("left", [[], ["settings.part.json"]])
 def test_killed_as_it_began_nothing_stands_in_the_way(left, tmp_path):
     (tmp_path / "checkpoints").mkdir()
     (tmp_path / ".lock").write_text("process 7 on earth")

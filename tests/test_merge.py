@@ -9,7 +9,7 @@ import pytest
 
 from jaxdyna.experiments import merge
 from jaxdyna.experiments.catch import PARTS
-from jaxdyna.experiments.engine import main
+from jaxdyna.experiments.engine import main, storage
 
 PROG = "python -m jaxdyna.experiments.catch"
 CATCH = [
@@ -41,7 +41,7 @@ def whole(tmp_path_factory):
 
 
 def read(folder):
-    return json.loads((folder / "results.json").read_text())
+    return storage.read_json(folder / "results.json")
 
 
 @pytest.mark.parametrize("turned", [1, -1])

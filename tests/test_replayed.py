@@ -56,3 +56,15 @@ def test_a_dream_goes_on_from_where_a_real_episode_has_been(name):
             assert dreamed.reward[number, 0] == reward
             compared += 1
     assert compared > 0
+
+
+def test_a_state_without_a_clock_is_refused():
+    """A dream that goes on from it would end when the real episode did."""
+
+    def draw(key, start):
+        return jnp.zeros((16, 16, 12), jnp.uint8), {"agent": jnp.zeros(2)}
+
+    with pytest.raises(ValueError, match="dict has no field time: count the steps"):
+        Replayed(FrameStack(Maze()), draw).reset(
+            jax.random.key(0), ReplayedParams(MazeParams(), None)
+        )

@@ -116,8 +116,17 @@ class Replayed(Wrapper):
         return ReplayedParams(self.env.default_params, start=None)
 
     def reset(self, key: Key, params: ReplayedParams) -> tuple[jax.Array, StackState]:
-        """Draws where it begins."""
+        """Draws where it begins.
+
+        Raises:
+            ValueError: where states have no ``time``, which a dream counts anew.
+        """
         obs, state = self.draw(key, params.start)
+        if not hasattr(state, "time"):
+            raise ValueError(
+                f"{type(state).__name__} has no field time: count the steps of an episode in it, "
+                "from 0, and compare it with params.max_steps"
+            )
         return obs, StackState(replace(state, time=jnp.zeros_like(state.time)), obs)
 
     def step(

@@ -1,14 +1,13 @@
 """Checkpoints of blocks between two pieces: resumed from them, runs are bit for bit the same.
 
-A file a block, written whole or not at all: arrays by the names of the state's leaves, with the
-axis of runs in front, and nothing of devices in them. NumPy's format carries checksums.
+A file a block, and the one before it: arrays by the names of the state's leaves, with the axis of
+runs in front, and nothing of devices in them.
 """
 
 import json
 import time
-import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,16 +15,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxdyna.experiments.engine.storage import InputError, read_arrays, write_arrays
 from jaxdyna.trees import is_key, named_leaves, raw
 
 Curves = dict[str, np.ndarray]
 CHECKPOINT_SECONDS = 20.0
 CHECKPOINT_SHARE = 0.05
 ABOUT = "about"
-
-
-class InputError(ValueError):
-    """What a user can mend, found in mid-run; what was played is saved."""
 
 
 @dataclass
@@ -72,84 +68,95 @@ class Kept:
 
 
 class BlockStore:
-    """The newest checkpoint of a block, replaced only once the next is whole."""
+    """The two newest checkpoints of a block: where the newest is damaged, the other serves.
 
-    def __init__(self, path: Path):
-        self.path, self.pause, self.saved = path, CHECKPOINT_SECONDS, time.perf_counter()
+    Args:
+        path: of the newest.
+        warn: is told of damage.
+    """
+
+    def __init__(self, path: Path, warn: Callable[[str], None] = print):
+        self.path, self.before, self.warn = path, path.with_suffix(".before.npz"), warn
+        self.whose = f"{path.parent.name}/{path.stem}"
+        self.pause, self.saved = CHECKPOINT_SECONDS, time.perf_counter()
 
     def due(self) -> bool:
         """Whether one should be written now: writing takes a small share of the time."""
         return time.perf_counter() - self.saved > self.pause
 
     def save(self, kept: Kept, seconds: float) -> None:
-        """Writes it."""
+        """Writes it.
+
+        Raises:
+            InputError: where it cannot be written; those before it stay.
+        """
         began = time.perf_counter()
         arrays: Curves = {f"metrics/{name}": values for name, values in kept.metrics.items()}
         for row, curves in kept.over.items():
             arrays |= {f"over/{row}/{name}": values for name, values in curves.items()}
         arrays |= {f"state/{path}": leaf for path, leaf in named_leaves(kept.state).items()}
-        about = {"done": kept.done, "over": list(kept.over), "seconds": seconds}
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        part = self.path.with_suffix(".part")
-        with part.open("wb") as file:
-            np.savez(file, **{ABOUT: np.array(json.dumps(about))}, **arrays)  # type: ignore[arg-type]
-        part.replace(self.path)
+        about = {"done": kept.done, "over": [*kept.over], "seconds": seconds, "whose": self.whose}
+        arrays[ABOUT] = np.array(json.dumps(about))
+        with suppress(OSError):  # where it cannot be made, nor can the file
+            self.path.parent.mkdir(exist_ok=True)
+        write_arrays(self.path, arrays, before=self.before)
         self.saved = time.perf_counter()
         self.pause = max(CHECKPOINT_SECONDS, (self.saved - began) / CHECKPOINT_SHARE)
 
     def load(self) -> Kept | None:
-        """Reads it back; None where there is none.
+        """The newest that is whole, read; None where there is none: the block begins anew."""
+        for path in filter(Path.exists, (self.path, self.before)):
+            try:
+                return self._read(path)
+            except ValueError as error:
+                self.warn(f"{error}: going on from an earlier state")
+        return None
 
-        Raises:
-            InputError: where it is not whole.
-        """
-        if not self.path.exists():
-            return None
-        about = _about(self.path)
-        state, metrics = Curves(), Curves()
-        over: dict[int, Curves] = {row: {} for row in about["over"]}
-        with _opened(self.path) as file:
-            for name in file.files:
-                kind, _, rest = name.partition("/")
-                if kind == "state":
-                    state[rest] = file[name]
-                elif kind == "metrics":
-                    metrics[rest] = file[name]
-                elif kind == "over":
-                    row, _, rest = rest.partition("/")
-                    over[int(row)][rest] = file[name]
-        return Kept(about["done"], state, metrics, over)
+    def seconds(self) -> float:
+        """Seconds played up to the newest."""
+        for path in filter(Path.exists, (self.path, self.before)):
+            with suppress(ValueError):
+                return json.loads(str(read_arrays(path, [ABOUT])[ABOUT]))["seconds"]
+        return 0.0
+
+    def _read(self, path: Path) -> Kept:
+        arrays = read_arrays(path)
+        about = json.loads(str(arrays.pop(ABOUT)))
+        if about["whose"] != self.whose:
+            raise ValueError(f"{path} is the checkpoint of {about['whose']}")
+        kept = Kept(about["done"], {}, {}, {row: {} for row in about["over"]})
+        for name, values in arrays.items():
+            kind, _, rest = name.partition("/")
+            if kind == "state":
+                kept.state[rest] = values
+            elif kind == "metrics":
+                kept.metrics[rest] = values
+            else:
+                row, _, rest = rest.partition("/")
+                kept.over[int(row)][rest] = values
+        return kept
 
 
 class Store:
-    """The checkpoints of one arm, in a folder of its own, made when needed."""
+    """The checkpoints of one arm, in a folder of its own.
 
-    def __init__(self, folder: Path):
-        self.folder = folder
+    Args:
+        folder: made if need be, but not the one above it: a run's folder that is gone stays gone.
+        warn: is told of damage.
+    """
+
+    def __init__(self, folder: Path, warn: Callable[[str], None] = print):
+        self.folder, self.warn = folder, warn
 
     def block(self, number: int) -> BlockStore:
         """Those of one block."""
-        return BlockStore(self.folder / f"block{number}.npz")
+        return BlockStore(self.folder / f"block{number}.npz", self.warn)
 
     def seconds(self) -> float:
         """Seconds played up to the last checkpoint of any."""
-        return max(
-            (_about(path)["seconds"] for path in self.folder.glob("block*.npz")), default=0.0
-        )
-
-
-def _about(path: Path) -> dict[str, Any]:
-    with _opened(path) as file:
-        return json.loads(str(file[ABOUT]))
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    try:
-        with path.open("rb") as content, np.load(content) as file:
-            yield file
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path} is not whole ({error}): run without --resume") from None
+        names = {path.name.partition(".")[0] for path in self.folder.glob("block*.npz")}
+        blocks = (self.block(int(name.removeprefix("block"))) for name in names)
+        return max((block.seconds() for block in blocks), default=0.0)
 
 
 def _sort(array: Any) -> str:

@@ -85,9 +85,9 @@ def claim(folder: Path, whose: Mapping[str, str], fresh: bool) -> None:
     moving = folder / PREVIOUS / MOVING
     known = [about for about in (begun, results) if about is not None]
     others = _names(folder) - {LOCK, PREVIOUS, PARTS, CHECKPOINTS}
-    strange = begun is None and _names(folder / CHECKPOINTS) - {"settings.json.part"}
+    strange = begun is None and _names(folder / CHECKPOINTS) - {"settings.part.json"}
     unknown = others and not known and not moving.exists()
-    if strange or unknown or not all(_is_of(about, whose) for about in known):
+    if strange or unknown or not all(is_of(about, whose) for about in known):
         raise ValueError(f"--out {folder} has files of no such run: choose an empty folder")
     if begun is not None and not fresh:
         raise ValueError(
@@ -150,7 +150,7 @@ def _in_version_control(folder: Path, record: list[Path]) -> bool:
         return False
 
 
-def _is_of(about: Any, whose: Mapping[str, str]) -> bool:
+def is_of(about: Any, whose: Mapping[str, str]) -> bool:
     """Whether a ``results.json`` or ``settings.json`` is of such a run; before there were parts an
     experiment's name began with its family's.
     """

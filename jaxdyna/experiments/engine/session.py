@@ -27,7 +27,7 @@ from rich.markdown import Markdown
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine import cli, folders, storage
-from jaxdyna.experiments.engine.checkpoint import InputError, Store
+from jaxdyna.experiments.engine.checkpoint import Store
 from jaxdyna.experiments.engine.experiment import (
     Entry,
     Experiment,
@@ -38,6 +38,7 @@ from jaxdyna.experiments.engine.experiment import (
     entries,
 )
 from jaxdyna.experiments.engine.progress import Bars
+from jaxdyna.experiments.engine.storage import InputError
 from jaxdyna.experiments.engine.work import (
     Arm,
     Curves,
@@ -181,6 +182,9 @@ class Session:
         self.timing: dict[str, dict[str, float]] = {}
         self.measured: dict[str, Any] = {}
         self.earlier_s = 0.0
+        self.others: Results = {}  # what was played by other code or versions
+        homes = {type(self.options).__module__, self.experiment.arms.__module__}
+        self.made = storage.made_with(homes)
         if not self.seeds:
             raise ValueError("--shard has more parts than there are --seeds: give fewer")
         self.entries = chosen(self.every, self.options.arms)
@@ -188,13 +192,13 @@ class Session:
         if self.resume and not self.out.is_dir():
             raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
         stack.enter_context(folders.held(self.out))
+        whose = {"experiment": self.family, "part": self.experiment.name}
         if self.resume:
-            self._take_up()
+            self._take_up(whose)
         else:
-            whose = {"experiment": self.family, "part": self.experiment.name}
             folders.claim(self.out, whose, self.fresh)
         self.checkpoints.mkdir(exist_ok=True)
-        storage.write_json(self.checkpoints / "settings.json", self._identity())
+        storage.write_json(self.checkpoints / "settings.json", self._identity() | self.made)
 
     def run(self) -> int:
         """Plays and reports; returns the exit code: 0, 130 after Ctrl-C.
@@ -224,6 +228,8 @@ class Session:
             except KeyboardInterrupt:
                 code = 130
                 self.console.print("Interrupted. The same command with --resume makes the report.")
+            except OSError as error:
+                raise storage.unwritten(self.out, error) from None
         return code
 
     @property
@@ -255,7 +261,7 @@ class Session:
             for name, group in groups.items():
                 played = [arms[entry.name] for entry in group]
                 runs = runs_of(played, self.seeds, self.options.seed)
-                store = Store(self.checkpoints / _identifier(group, runs))
+                store = Store(self.checkpoints / _identifier(group, runs), self.console.print)
                 done = engine.play(
                     played[0].work, runs, self._over(), store,
                     lambda *said, name=name: bars.tell(name, *said),
@@ -308,7 +314,7 @@ class Session:
             "config": {name: value for name, value in settings.items() if name not in NOT_SETTINGS},
         }
 
-    def _take_up(self) -> None:
+    def _take_up(self, whose: Mapping[str, str]) -> None:
         """Reads what an earlier run with the same settings finished.
 
         Raises:
@@ -316,6 +322,8 @@ class Session:
         """
         begun = storage.read_json(self.checkpoints / "settings.json")
         results = storage.read_json(self.out / "results.json")
+        if not all(folders.is_of(about, whose) for about in (begun, results) if about is not None):
+            raise ValueError(f"--out {self.out} has files of no such run: choose its own folder")
         finished = results and {
             **{name: results.get(name) for name in ("experiment", "part", "sweep")},
             "shard": results.get("runs", {}).get("shard"),
@@ -332,26 +340,41 @@ class Session:
                 f"the run in {self.out} had other settings for {flags}: resume with the same, or "
                 "choose another --out"
             )
+        begun_with = {name: (begun or {}).get(name) for name in self.made}
+        stores = [Store(folder) for folder in self.checkpoints.glob("*/")]
+        if stores and begun_with != self.made:
+            raise ValueError(
+                f"the run in {self.out} was begun with {storage.changes(begun_with, self.made)}: a "
+                "run of both would be neither; go on with what it was begun with, or begin anew "
+                "with --fresh"
+            )
+        self.earlier_s = sum(store.seconds() for store in stores)
         if not finished or different(finished["config"], now["config"]):
             return
         self.earlier = results
-        self.earlier_s = results["timing"]["total_s"]
         self.timing = results["timing"]["arms"]
+        self.earlier_s += sum(one.get("compile_s", 0.0) for one in self.timing.values())
+        self.earlier_s = max(self.earlier_s, results["timing"]["total_s"])
         self.measured = {
             name: results[name] for name in self.experiment.measures if name in results
         }
         if results["command"] != self.command:
             self.command = f"{results['command']} && {self.command} --resume"
         self.curves = storage.read_curves(self.out / "curves.npz")
+        then = {name: results.get(name) for name in ("versions", "commit", "source")}
+        self.others = results.get("made_otherwise", {})
+        if then["source"] != self.made["source"] or then["versions"] != self.made["versions"]:
+            self.others = dict.fromkeys(self.curves, then) | self.others
 
     def _write(self) -> None:
         ordered = [entry.name for entry in self.entries]
         names = [name for name in (*ordered, *self.curves) if name in self.curves]
         self.curves = {name: self.curves[name] for name in dict.fromkeys(names)}
         timing = {"arms": self.timing, "total_s": self.earlier_s + time.perf_counter() - self.began}
-        made = storage.provenance(self.earlier)
+        made, others = storage.provenance(self.made, self.earlier), self.others
         if self.earlier and self.curves.keys() <= self.earlier["arms"].keys():
-            made = {name: self.earlier[name] for name in made}  # drawn anew, not played
+            made = {name: self.earlier.get(name) for name in made}  # drawn anew, not played
+            others = self.earlier.get("made_otherwise", {})
         runs = {"seeds": self.seeds, "of": self.options.seeds, "shard": list(self.shard),
                 "block": self.options.block}  # fmt: skip
         about = {
@@ -359,6 +382,8 @@ class Session:
             **made, "runs": runs, "sweep": fields.plain(dict(self.sweep)), "timing": timing,
             **self.measured,
         }  # fmt: skip
+        if others:
+            about["made_otherwise"] = others
         if missing := [name for name in ordered if name not in self.curves]:
             about["unfinished"] = missing
         setups = {entry.name: entry.options for entry in self.every}
@@ -429,6 +454,9 @@ def write_report(experiment: Experiment, record: Record) -> str:
     head = [f"# {experiment.title}", f"`{record.results['command']}`"]
     if missing := record.results.get("unfinished"):
         head.append(f"**Interrupted: {', '.join(missing)} not finished; --resume goes on.**")
+    if others := record.results.get("made_otherwise"):
+        said = "were played before, by other code or versions than the rest"
+        head.append(f"**{', '.join(others)} {said}** (results.json says which).")
     text = paragraphs(*(section(record) for section in experiment.sections))
     for name in record.results["arms"]:
         text = re.sub(rf"(?<!\w){re.escape(name)}", label(name), text)  # not the names of files

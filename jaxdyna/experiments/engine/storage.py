@@ -1,16 +1,19 @@
-"""Files of a result: strict JSON, arrays, text; each written whole or not at all. And where it was
-made.
+"""Files of a result: strict JSON, arrays, text; each written whole or not at all, and checked when
+it is read. And where it was made.
 """
 
 import hashlib
+import io
 import json
+import os
 import platform
 import resource
 import subprocess
 import sys
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,29 +22,82 @@ import jax
 import numpy as np
 
 import jaxdyna
-from jaxdyna.experiments.engine.work import cores
 
 Curves = Mapping[str, np.ndarray]
 Results = dict[str, Any]
 PACKAGES = ("jax", "jaxlib", "flax", "optax", "numpy", "gymnasium")
-PACKAGE = Path(jaxdyna.__file__).parent
+CHECKSUM = "checksum"
+DAMAGED = (
+    KeyError, OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error
+)  # fmt: skip
+"""What reading a file of arrays can end in."""
+PACKAGE = Path(jaxdyna.__file__).resolve().parent
+
+
+class InputError(ValueError):
+    """What a user can mend, found in mid-run; what was played is saved."""
+
+
+def unwritten(path: Path, error: OSError) -> InputError:
+    """What to say of a file that cannot be written."""
+    why = os.strerror(error.errno) if error.errno else str(error)
+    return InputError(
+        f"cannot write {path} ({why}): mend that; the same command with --resume goes on"
+    )
+
+
+@contextmanager
+def written(path: Path, before: Path | None = None) -> Iterator[Path]:
+    """A file to write to, which takes the place of ``path`` once it is whole; what was there
+    becomes the file ``before``, or goes.
+
+    Raises:
+        InputError: where it cannot be written; what was there stays.
+    """
+    part = path.with_name(f"{path.stem}.part{path.suffix}")
+    try:
+        yield part
+        if before and path.exists():
+            path.replace(before)
+        part.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise unwritten(path, error) from None
 
 
 def write_json(path: Path, results: Results) -> None:
-    """Writes strict JSON; what is not finite becomes null."""
-    write_text(path, json.dumps(_finite(results), indent=1, allow_nan=False) + "\n")
+    """Writes strict JSON with a checksum of it; what is not finite becomes null."""
+    told = _finite(results)
+    write_text(path, _dumped(told | {CHECKSUM: _digest(told)}))
 
 
 def read_json(path: Path) -> Any:
-    """Reads it; None where there is no file.
+    """Reads it; None where there is no file. One without a checksum, of an earlier version, passes.
 
     Raises:
-        ValueError: where it is not whole.
+        ValueError: where it is not what was written.
     """
+    if not path.exists():
+        return None
     try:
-        return json.loads(path.read_text()) if path.exists() else None
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} is not whole ({error}): run without --resume") from None
+        told = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(told, dict) or told.pop(CHECKSUM, None) not in (None, _digest(told)):
+            raise ValueError("it is not what was written")
+    except (OSError, ValueError, RecursionError) as error:
+        raise ValueError(
+            f"{path} is damaged or was changed ({error}): restore it, or where the change is your "
+            f"own take its {CHECKSUM} out; or choose another folder"
+        ) from None
+    return told
+
+
+def _dumped(told: Results) -> str:
+    return json.dumps(told, indent=1, allow_nan=False) + "\n"
+
+
+def _digest(told: Results) -> str:
+    return hashlib.sha256(_dumped(told).encode()).hexdigest()
 
 
 def _finite(value: Any) -> Any:
@@ -54,14 +110,50 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
+def write_arrays(
+    path: Path, arrays: Curves, compressed: bool = False, before: Path | None = None
+) -> None:
+    """Writes arrays by name into one file, of NumPy's format; ``before``: see `written`."""
+    save: Any = np.savez_compressed if compressed else np.savez
+    with written(path, before) as part:
+        with part.open("wb") as file:
+            save(file, allow_pickle=False, **arrays)
+        with zipfile.ZipFile(part, "a") as whole:
+            whole.comment = _contents(whole)
+
+
+def read_arrays(path: Path, only: Sequence[str] = ()) -> dict[str, np.ndarray]:
+    """Reads what `write_arrays` wrote, or only some of it. Whole members: at their ends their own
+    checksums are looked at. Files of an earlier version, without one of all, pass.
+
+    Raises:
+        ValueError: where the file is damaged.
+    """
+    try:
+        with zipfile.ZipFile(path) as file:
+            if file.comment not in (b"", _contents(file)):
+                raise ValueError("its checksum differs")
+            names = [f"{name}.npy" for name in only] or file.namelist()
+            return {
+                name.removesuffix(".npy"): np.lib.format.read_array(io.BytesIO(file.read(name)))
+                for name in names
+            }
+    except DAMAGED as error:
+        raise ValueError(f"{path} is damaged ({error})") from None
+
+
+def _contents(file: zipfile.ZipFile) -> bytes:
+    """A checksum of the names and the checksums of all members."""
+    said = "\n".join(f"{member.filename} {member.CRC}" for member in file.infolist())
+    return hashlib.sha256(said.encode()).hexdigest().encode()
+
+
 def write_curves(path: Path, arms: Mapping[str, Curves]) -> None:
     """Writes every array as ``NAME/array``."""
     flat = {
         f"{arm}/{name}": values for arm, curves in arms.items() for name, values in curves.items()
     }
-    part = path.with_suffix(".part.npz")
-    np.savez_compressed(part, allow_pickle=False, **flat)
-    part.replace(path)
+    write_arrays(path, flat, compressed=True)
 
 
 def read_curves(path: Path) -> dict[str, dict[str, np.ndarray]]:
@@ -71,43 +163,58 @@ def read_curves(path: Path) -> dict[str, dict[str, np.ndarray]]:
         ValueError: where the file is damaged.
     """
     arms: dict[str, dict[str, np.ndarray]] = {}
-    if path.exists():
-        try:
-            with path.open("rb") as file, np.load(file) as stored:
-                for name in stored.files:
-                    arm, _, array = name.rpartition("/")
-                    arms.setdefault(arm, {})[array] = stored[name]
-        except (zipfile.BadZipFile, EOFError, OSError, zlib.error) as error:
-            raise ValueError(f"{path} is damaged ({error}): play it again") from error
+    try:
+        for name, values in (read_arrays(path) if path.exists() else {}).items():
+            arm, _, array = name.rpartition("/")
+            arms.setdefault(arm, {})[array] = values
+    except ValueError as error:
+        raise ValueError(f"{error}: restore it, or remove it to play all of it again") from None
     return arms
 
 
 def write_text(path: Path, text: str) -> None:
     """Writes a text file."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    with written(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
-def provenance(earlier: Results | None = None) -> Results:
-    """``versions``, ``commit``, ``source`` (a hash of this package) and ``device``; of memory the
-    most that this process or, where it goes on with an ``earlier`` one's, that one has taken.
+def made_with(modules: Iterable[str]) -> Results:
+    """What a run's numbers depend on beside its settings: ``versions``, ``source``, a hash of the
+    code, and of the ``device`` the platform and x64.
+
+    Args:
+        modules: those that define the experiment.
     """
-    device = jax.devices()[0]
+    packages = {name: version(name) for name in PACKAGES}
+    python = {"jaxdyna": jaxdyna.__version__, "python": platform.python_version()}
+    precision = {"platform": jax.default_backend(), "x64": jax.config.read("jax_enable_x64")}
+    return {"versions": python | packages, "source": source(modules), "device": precision}
+
+
+def changes(before: Results, now: Results) -> str:
+    """What of `made_with` has changed, in words."""
+    then, versions = before["versions"] or {}, now["versions"]
+    said = [f"{name} {then[name]} (now {new})" for name, new in versions.items()
+            if then.get(name, new) != new]  # fmt: skip
+    if before["source"] != now["source"]:
+        said.append("other code of jaxdyna or of the experiment")
+    if before["device"] != now["device"]:
+        said.append(f"{before['device']} (now {now['device']})")
+    return ", ".join(said)
+
+
+def provenance(made: Results, earlier: Results | None = None) -> Results:
+    """`made_with` with the ``commit`` and all of ``device``; of memory the most that this process
+    or, where it goes on with an ``earlier`` one's, that one has taken.
+    """
     before = ((earlier or {}).get("device") or {}).get("peak_memory_gib")
-    return {
-        "versions": {"jaxdyna": jaxdyna.__version__, "python": platform.python_version()}
-        | {name: version(name) for name in PACKAGES},
-        "commit": commit(),
-        "source": source(),
-        "device": {
-            "platform": device.platform,
-            "kind": device.device_kind,
-            "count": jax.device_count(),
-            "cpu_cores": cores(),
-            "peak_memory_gib": max(peak_memory_gib(), before or 0.0),
-        },
+    device = {
+        "kind": jax.devices()[0].device_kind,
+        "count": jax.device_count(),
+        "cpu_cores": cores(),
+        "peak_memory_gib": max(peak_memory_gib(), before or 0.0),
     }
+    return made | {"commit": commit(), "device": made["device"] | device}
 
 
 def commit() -> Results | None:
@@ -125,12 +232,33 @@ def commit() -> Results | None:
         return None
 
 
-def source() -> str:
-    """A hash of this package's code: commits elsewhere do not change it."""
+def source(modules: Iterable[str] = ()) -> str:
+    """A hash of this package's code, and where these modules are not its own of all that are loaded
+    from their folders: commits elsewhere do not change it.
+    """
+    files = {path: path.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py")}
+    loaded = [Path(file).resolve() for module in list(sys.modules.values())
+              if (file := getattr(module, "__file__", None))]  # fmt: skip
+    for name in modules:
+        own = getattr(sys.modules.get(name), "__file__", None)
+        home = Path(own or PACKAGE / "").resolve().parent
+        if own and not home.is_relative_to(PACKAGE):
+            files |= {
+                path: path.relative_to(home) for path in loaded
+                if path.is_relative_to(home) and path.suffix == ".py"
+                and not path.is_relative_to(PACKAGE) and "site-packages" not in path.parts
+            }  # fmt: skip
     digest = hashlib.sha256()
-    for path in sorted(PACKAGE.rglob("*.py")):
-        digest.update(str(path.relative_to(PACKAGE)).encode() + b"\0" + path.read_bytes())
+    for path, known in sorted(files.items(), key=lambda file: str(file[1])):
+        digest.update(str(known).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def cores() -> int:
+    """CPU cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def peak_memory_gib() -> float:

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.experiments.engine.checkpoint import BlockStore, Kept, Store
+from jaxdyna.experiments.engine.storage import cores
 from jaxdyna.sweep import over_runs
 from jaxdyna.types import Key
 
@@ -447,10 +448,3 @@ def _filled(values: Sequence[np.ndarray]) -> np.ndarray:
     for row, one in zip(filled, values, strict=True):
         row[: len(one)] = one
     return filled
-
-
-def cores() -> int:
-    """CPU cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
