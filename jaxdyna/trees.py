@@ -26,6 +26,12 @@ def named_leaves(tree: Any) -> dict[str, np.ndarray]:
     return {jax.tree_util.keystr(path): np.asarray(raw(leaf)) for path, leaf in leaves}
 
 
+def finite(tree: Any) -> jax.Array:
+    """Whether all floats in it are neither NaN nor infinite, a bool scalar."""
+    floats = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    return jnp.array([jnp.isfinite(leaf).all() for leaf in floats], bool).all()
+
+
 def stack(trees: Sequence[Any]) -> Any:
     """Trees of one structure as one, with a leading axis."""
     with jax.debug_key_reuse(False):

@@ -3,6 +3,7 @@ line that says which file.
 """
 
 import errno
+import importlib
 import json
 import shutil
 from functools import partial
@@ -350,3 +351,20 @@ def test_checkpoints_hold_no_pickle(saved):
         with np.load(path, allow_pickle=False) as file:
             assert all(file[name].dtype != object for name in file.files)
             assert json.loads(str(file[checkpoint.ABOUT]))["done"] > 0
+
+
+def test_the_code_is_the_packages_and_that_of_the_experiments_own_folder(tmp_path, monkeypatch):
+    """A user's file, and what it imports from beside it; not what lies there unused."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "own_world.py").write_text("PAYS = 1")
+    (tmp_path / "own_study.py").write_text("import own_world")
+    (tmp_path / "own_notes.py").write_text("")
+    importlib.import_module("own_study")
+    before = storage.source(["own_study"])
+    assert before == storage.source(["own_study"]) != storage.source()
+    (tmp_path / "own_notes.py").write_text("# later")
+    assert before == storage.source(["own_study"])
+    (tmp_path / "own_world.py").write_text("PAYS = 2")
+    assert before != storage.source(["own_study"])
+    assert storage.source(["jaxdyna.experiments.catch.acting"]) == storage.source()
+    assert storage.source(["builtins"]) == storage.source(["not a module"]) == storage.source()

@@ -216,7 +216,9 @@ def test_arms_of_one_work_and_their_settings_are_one_program():
     assert len(engine.programs) == 1
 
 
-def stopping_after(engine, pieces, over=lambda curves: np.zeros(99, bool)):
+def stopping_after(
+    engine, pieces, over=lambda curves: np.zeros(len(next(iter(curves.values()))), bool)
+):
     """Ctrl-C after so many whole pieces, of whichever blocks."""
     count = iter(range(1, 10_000))
 

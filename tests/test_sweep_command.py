@@ -4,12 +4,13 @@ import json
 from dataclasses import dataclass
 from typing import ClassVar
 
+import jax
 import numpy as np
 import pytest
 from parts import DYNA, SMALL, hparams
 
 from jaxdyna.dyna import DynaConfig, DynaHParams
-from jaxdyna.experiments.engine import Experiment, Options, main, work
+from jaxdyna.experiments.engine import Experiment, InputError, Options, main, memory, storage, work
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.tables import label
 from jaxdyna.experiments.study.arms import Hooks, standard_arms
@@ -101,6 +102,66 @@ def test_hyper_parameters_are_swept_in_one_program(play):
     assert list(sweep[0]["timing"]["arms"]) == ["dyna"]
     rows = {f"dyna@{RATE}={rate}": play(f"--{RATE}", str(rate)) for rate in (0.01, 0.1)}
     assert_rows_are(sweep, rows)
+
+
+def test_from_plays_a_result_again(play):
+    sweep = play("--sweep", f"{RATE}=0.01,0.1")
+    again = play("--from", str(sweep[3] / "results.json"))
+    for name in ("config", "sweep", "runs", "preset", "source"):
+        assert again[0][name] == sweep[0][name]
+    assert again[1].files == sweep[1].files
+    for array in again[1].files:
+        np.testing.assert_array_equal(again[1][array], sweep[1][array], err_msg=array)
+
+
+@pytest.mark.parametrize(
+    ("changes", "more", "said"),
+    [
+        ({}, ["--preset", "lean"], "--preset: --from says which"),
+        ({}, ["--dyna.num-episodes", "7"], "--dyna.num-episodes is decided by --episodes"),
+        ({}, ["--hparams.agent.learning-rate", "-1"], "--hparams.agent.learning-rate"),
+        ({"experiment": "maze"}, [], "is a result of maze"),
+        ({"config": {"episodes": -3}}, [], "episodes is -3"),
+        ({"config": {"height": 3}}, [], "height"),
+        (None, [], "there is no result"),
+    ],
+)
+def test_from_is_refused_by_name(changes, more, said, play, tmp_path, capsys):
+    results = play("--sweep", f"{RATE}=0.01,0.1")[0]
+    if changes is not None:
+        storage.write_json(tmp_path / "results.json", results | changes)
+    argv = ["--from", str(tmp_path / "results.json"), *more, "--out", str(tmp_path / "out")]
+    with pytest.raises(SystemExit, match="2"):
+        main(POLE, argv=argv, prog="pole")
+    line = capsys.readouterr().err.strip()
+    assert said in line and "\n" not in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_does_not_fit_into_memory_is_refused_before_it_is_compiled(
+    play, tmp_path, capsys, monkeypatch
+):
+    """And leaves nothing in the way."""
+    argv = ["--seeds", "4", "--block", "2", "--out", str(tmp_path / "out")]
+    with monkeypatch.context() as patch, pytest.raises(SystemExit, match="2"):
+        patch.setattr(memory, "available", lambda place: 10**4)
+        patch.setattr(work._Program, "row", None, raising=False)
+        main(POLE, argv=argv, prog="pole")
+    line = capsys.readouterr().err.strip()
+    assert "x 2 runs at a time take" in line and "0.0 GiB are free: lower --block" in line
+    with pytest.raises(SystemExit, match="2"):
+        main(POLE, argv=[*argv, "--arms", "nobody"], prog="pole")
+    assert "nobody" in capsys.readouterr().err  # not: unfinished work
+
+
+def test_memory_counts_every_array_and_whatever_is_known_to_be_free():
+    tree = {"a": np.zeros((3, 4), np.float32), "b": np.zeros(5, np.uint8)}
+    assert memory.held(tree, tree) == 2 * (48 + 5)
+    place = jax.devices()[0]
+    assert 0 < memory.available(place) < 2**50
+    memory.afford(memory.available(place) // 3, 1, 2, place)
+    with pytest.raises(InputError, match="2 x 7 runs at a time take"):
+        memory.afford(memory.available(place), 7, 2, place)
 
 
 @pytest.mark.slow

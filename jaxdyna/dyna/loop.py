@@ -14,13 +14,17 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.dyna.conditional import where_needed
+from jaxdyna.dyna.conditional import mean_of_done, where_needed
 from jaxdyna.dyna.config import DynaConfig, DynaHParams
 from jaxdyna.dyna.parts import Dyna, DynaState, Metrics
 from jaxdyna.fields import SettingError
 from jaxdyna.replay import ring
 from jaxdyna.rollout import rollout
+from jaxdyna.trees import finite
 from jaxdyna.types import Key, Transition
+
+DIVERGED = ("world", "agent", "model")
+"""Whose numbers may stop being finite: the metric ``diverged`` counts them from 1, 0 is none."""
 
 
 def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], DynaState]:
@@ -119,9 +123,20 @@ def make_step(
             agent, dreamed = where_needed(dreaming, awake, axes, dream, state.agent)
             state = replace(state, agent=agent)
             metrics |= dreamed
+        metrics["diverged"] = _diverged(real, metrics["agent_loss"], state.model)
         return state, metrics
 
     return step
+
+
+def _diverged(real: Transition, agent_loss: jax.Array, model: Any) -> jax.Array:
+    """0, or 1 + the place in `DIVERGED` of the first whose numbers are not finite; the agent's are
+    known by its loss, one episode late where the episode's last update broke them.
+    """
+    seen = real.blanked()
+    sound = [finite((seen.obs, seen.reward)), finite(agent_loss), finite(model and model.params)]
+    numbers = [jnp.float32(1 + number) for number in range(len(DIVERGED))]
+    return jnp.select([~part for part in sound], numbers, jnp.float32(0))
 
 
 def make_train(
@@ -317,7 +332,7 @@ def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metri
 
     start = (state.agent, jnp.bool_(False), key)
     (agent, _, _), metrics = jax.lax.scan(update_unless_safe, start, length=config.dream_updates)
-    return agent, jax.tree.map(jnp.nanmean, metrics)
+    return agent, jax.tree.map(mean_of_done, metrics)
 
 
 def _summary(name: str, transitions: Transition) -> Metrics:

@@ -11,7 +11,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar, get_args
+from typing import Annotated, Any, NoReturn, TypeVar, get_args
 
 import tyro
 
@@ -21,7 +21,7 @@ from jaxdyna.fields import Leaf, SettingError, setting
 O = TypeVar("O")  # noqa: E741
 NOT_SWEPT = (
     "seeds", "seed", "arms", "out", "episodes", "stop_after_solved", "block", "preset", "quick",
-    "part", "resume", "fresh", "shard", "sweep",
+    "part", "resume", "fresh", "shard", "sweep", "from",
 )  # fmt: skip
 
 
@@ -37,6 +37,9 @@ class Call:
     fresh: bool = setting(False, "begin anew where that folder has the unfinished work of a run")
     sweep: tyro.conf.UseAppendAction[tuple[str, ...]] = setting(
         (), "FIELD=V,V,...: each arm with each value of a setting; several make a grid"
+    )
+    from_: Annotated[Path | None, tyro.conf.arg(name="from")] = setting(
+        None, "a results.json: all settings as there, but for those that are given"
     )
     shard: str | None = setting(
         None, "I/N: the I-th of N equal parts of the runs; `merge` puts them together"
@@ -186,7 +189,7 @@ def _flag(leaf: Leaf, width: int, words: Sequence[str], none: str) -> list[str]:
     value = none if value is None else value
     value = "" if value is False or value == "" else f"  [{value}]"
     choice = f" {{{','.join(words)}}}" if words else ""
-    head = f"--{leaf.path.replace('_', '-')}{choice}{value}"
+    head = f"--{leaf.path.rstrip('_').replace('_', '-')}{choice}{value}"
     indented = partial(textwrap.wrap, width=width, subsequent_indent=" " * 6)
     return [*indented(head, initial_indent="  ", break_on_hyphens=False),
             *indented(leaf.help, initial_indent=" " * 6)]  # fmt: skip

@@ -89,7 +89,8 @@ def claim(folder: Path, whose: Mapping[str, str], fresh: bool) -> None:
     unknown = others and not known and not moving.exists()
     if strange or unknown or not all(is_of(about, whose) for about in known):
         raise ValueError(f"--out {folder} has files of no such run: choose an empty folder")
-    if begun is not None and not fresh:
+    played = _names(folder / CHECKPOINTS) - {"settings.json"} or results is not None
+    if begun is not None and played and not fresh:
         raise ValueError(
             f"--out {folder} has the unfinished work of a run: --resume goes on with it, --fresh "
             "drops it"

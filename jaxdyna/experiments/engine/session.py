@@ -16,7 +16,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,12 +49,13 @@ from jaxdyna.experiments.engine.work import (
     joined,
     runs_of,
 )
-from jaxdyna.experiments.report.summaries import compare, describe_arm
+from jaxdyna.experiments.report.summaries import compare, describe_arm, diverged
 from jaxdyna.experiments.report.tables import label, paragraphs
 from jaxdyna.fields import SettingError
 from jaxdyna.statistics import episodes_to_solve
 
 NOT_SETTINGS = ("arms",)
+FROM = ("part", "preset")
 
 
 def main(
@@ -98,9 +99,15 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     if "--out=" in asked or ("--out", "") in itertools.pairwise(asked):
         cli.fail("--out is empty: name a folder, . for this one", prog)
     call, rest = cli.read(cli.Call, asked, prog, return_unknown_args=True)
+    earlier = _earlier(call, parts[0].name)
+    call = replace(call, **{name: earlier[name] for name in FROM if name in earlier})
     part = cli.by_name({part.name: part for part in parts}, "part", call.part, prog)
     experiment = part.experiment() if isinstance(part, Study) else part
     default = cli.by_name(experiment.presets, "preset", call.preset, prog)
+    default = fields.restored(default, earlier.get("config", {}))
+    if earlier and call.sweep:  # its rows have other names than those of an earlier one
+        arms = dict.fromkeys(name.partition("@")[0] for name in default.arms)
+        default = replace(default, arms=tuple(arms))
     preset = call.preset or next(iter(experiment.presets))
     if len(asked) < len(argv):
         names = [part.name for part in parts]
@@ -119,7 +126,7 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     options = asked_for.resolved()
     if "--arms" in rest and not options.arms:
         cli.fail("--arms is empty: name arms, or leave it out for all", prog)
-    sweep = cli.swept(options, call.sweep)
+    sweep = cli.swept(options, call.sweep) or read_back(default, earlier.get("sweep", {}))
     every = entries(experiment, asked_for, sweep)
     command = f"{prog} {shlex.join(word for word in argv if word != '--resume')}".strip()
     first = call.part is None or call.part == parts[0].name
@@ -131,6 +138,27 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
         experiment, options, every, call.out or out, command, call.resume, call.fresh, call.shards,
         sweep, family=parts[0].name,
     )  # fmt: skip
+
+
+def _earlier(call: cli.Call, name: str) -> Results:
+    """What ``--from`` names; nothing without.
+
+    Raises:
+        ValueError: where it is no result of this experiment, or another part or preset is asked
+            for.
+    """
+    if call.from_ is None:
+        return {}
+    earlier = storage.read_json(call.from_)
+    if earlier is None or "config" not in earlier or "part" not in earlier:
+        raise ValueError(f"--from {call.from_}: there is no result of today's format")
+    if earlier["experiment"] != name:
+        raise ValueError(f"--from {call.from_} is a result of {earlier['experiment']}: play it by "
+                         "that command")  # fmt: skip
+    for said in FROM:
+        if getattr(call, said) not in (None, earlier[said]):
+            raise ValueError(f"--{said}: --from says which; leave one of them out")
+    return earlier
 
 
 def _prog() -> str:
@@ -412,6 +440,7 @@ def results_of(
     for name, values in curves.items():
         arm, _, where = name.partition("@")
         said: Results = {"arm": arm, "setting": where} if where else {}
+        said |= diverged(values, about["runs"]["seeds"])
         if rule is not None and "real_return" in values:
             said |= describe_arm(values, rule, options.episodes)
         for describe in experiment.describe:
@@ -442,11 +471,15 @@ def recorded(results: Results) -> tuple[Experiment, Any, dict[str, list[Any]]]:
     except (ImportError, AttributeError, LookupError):
         raise ValueError(f"there is no such experiment: {results['command']}") from None
     options = fields.restored(default, results["config"])
-    sweep = {
+    return experiment, options, read_back(options, results["sweep"])
+
+
+def read_back(options: Any, sweep: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
+    """The values that were swept, by dotted path, as ``results.json`` has them."""
+    return {
         path: [fields.value_at(fields.restored(options, {path: value}), path) for value in values]
-        for path, values in results["sweep"].items()
+        for path, values in sweep.items()
     }
-    return experiment, options, sweep
 
 
 def write_report(experiment: Experiment, record: Record) -> str:
@@ -457,6 +490,13 @@ def write_report(experiment: Experiment, record: Record) -> str:
     if others := record.results.get("made_otherwise"):
         said = "were played before, by other code or versions than the rest"
         head.append(f"**{', '.join(others)} {said}** (results.json says which).")
+    head += [
+        f"**Numbers of {name} stopped being finite**, and its runs there: " + "; ".join(
+            f"seed {seed} at {said['unit']} ({said['part']})"
+            for seed, said in arm["diverged"].items()
+        ) + ". Lower the learning rate of what broke." 
+        for name, arm in record.results["arms"].items() if "diverged" in arm
+    ]  # fmt: skip
     text = paragraphs(*(section(record) for section in experiment.sections))
     for name in record.results["arms"]:
         text = re.sub(rf"(?<!\w){re.escape(name)}", label(name), text)  # not the names of files

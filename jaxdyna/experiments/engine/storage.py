@@ -68,7 +68,7 @@ def written(path: Path, before: Path | None = None) -> Iterator[Path]:
 
 def write_json(path: Path, results: Results) -> None:
     """Writes strict JSON with a checksum of it; what is not finite becomes null."""
-    told = _finite(results)
+    told = _finite({name: value for name, value in results.items() if name != CHECKSUM})
     write_text(path, _dumped(told | {CHECKSUM: _digest(told)}))
 
 
@@ -187,7 +187,7 @@ def made_with(modules: Iterable[str]) -> Results:
     """
     packages = {name: version(name) for name in PACKAGES}
     python = {"jaxdyna": jaxdyna.__version__, "python": platform.python_version()}
-    precision = {"platform": jax.default_backend(), "x64": jax.config.read("jax_enable_x64")}
+    precision = {"platform": jax.default_backend(), "x64": jax.config.jax_enable_x64}  # type: ignore[attr-defined]
     return {"versions": python | packages, "source": source(modules), "device": precision}
 
 

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.experiments.engine.checkpoint import BlockStore, Kept, Store
+from jaxdyna.experiments.engine.memory import afford, held, used_by
 from jaxdyna.experiments.engine.storage import cores
 from jaxdyna.sweep import over_runs
 from jaxdyna.types import Key
@@ -32,6 +33,10 @@ Over = Callable[[Curves], np.ndarray]
 
 SHOWN = "show_"
 """Arrays that are kept of the first run alone begin so; they have no axis of runs."""
+DIVERGED = "diverged"
+"""A metric, 0 while the numbers of a run are finite. Where they are not, the run is over, and the
+rest of its curves is NaN.
+"""
 JUDGING = 2**32 - 1
 """Folded into the base seed's key: the runs' own keys are its first splits."""
 
@@ -181,7 +186,7 @@ class Engine:
 
         Raises:
             Interrupted: after Ctrl-C.
-            InputError: where a checkpoint is another version's.
+            InputError: where a checkpoint is another version's, or there is too little memory.
             Exception: of the first block that fails; the others are saved after their pieces.
         """
         rows = np.arange(len(runs.seed))
@@ -190,7 +195,10 @@ class Engine:
         say("compiling", 0, 0)
         began = time.perf_counter()
         where = places(self.workers)[: len(blocks)]
-        programs = {place: self._program(work, runs, collected, place) for place in set(where)}
+        programs = {
+            place: self._program(work, runs, collected, place, where.count(place))
+            for place in set(where)
+        }
         compile_s = time.perf_counter() - began
         tally = _Tally(say, len(runs.seed), store.seconds() if store else 0.0)
         failed = threading.Event()
@@ -221,11 +229,13 @@ class Engine:
         curves = [run for future in futures for run in future.result()]
         return Played(curves, Seconds(compile_s, tally.seconds()))
 
-    def _program(self, work: Work, runs: Runs, collected: Any, place: jax.Device) -> _Program:
+    def _program(
+        self, work: Work, runs: Runs, collected: Any, place: jax.Device, at_once: int
+    ) -> _Program:
         shapes = jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams)
         known = (work, str(shapes), place)
         if known not in self.programs:
-            self.programs[known] = _Program(work, runs, collected, place)
+            self.programs[known] = _Program(work, runs, collected, place, at_once)
         return self.programs[known]
 
 
@@ -240,7 +250,7 @@ def places(workers: int = 0) -> list[jax.Device]:
 class _Program:
     """A work compiled for blocks of its size on one device."""
 
-    def __init__(self, work: Work, runs: Runs, collected: Any, place: jax.Device):
+    def __init__(self, work: Work, runs: Runs, collected: Any, place: jax.Device, at_once: int):
         self.work, self.place, self.lock = work, place, threading.Lock()
         keys, hparams = self.put(_shaped(work.block, (runs.keys, runs.hparams)))
 
@@ -254,6 +264,7 @@ class _Program:
         making = work.data and jax.jit(over_runs(work.data, work.block)).lower(keys, hparams)
         data = making.out_info if making else _shaped(work.block, collected)
         state, data = self.put((start.out_info, data))
+        afford(held(state, data), work.block, at_once, place)  # before it compiles for minutes
         number = self.put(jax.ShapeDtypeStruct((), jnp.int32))
         piece_of = jax.jit(piece, donate_argnums=0).lower(state, data, number, number, hparams)
         lowered = [(start, _quickly(place)), (piece_of, {}), *([(making, {})] if making else [])]
@@ -261,6 +272,7 @@ class _Program:
             self.start, self.piece, *rest = pool.map(
                 lambda one: one[0].compile(compiler_options=one[1]), lowered
             )
+        afford(used_by(self.piece), work.block, at_once, place)
         self.data = rest[0] if rest else None
         self.judging = {
             name: jax.jit(call)
@@ -355,7 +367,7 @@ class _Block:
             count = min(self.work.piece - self.done % self.work.piece, min(ends) - self.done)
             first, number = self._put((np.int32(self.done), np.int32(count)))
             state, metrics = program.piece(state, data, first, number, self.hparams)
-            new = {name: np.asarray(values)[:, :count] for name, values in metrics.items()}
+            new = {name: _said(values)[:, :count] for name, values in metrics.items()}
             self.pieces = {
                 name: np.concatenate([self.pieces[name], values], axis=1) if self.done else values
                 for name, values in new.items()
@@ -377,16 +389,21 @@ class _Block:
         after a run's own last unit only, so that it does not matter who else is in the block.
         """
         over = np.zeros(len(self.padded), bool)
-        if self.over is not None and self.done % self.work.piece == 0:
-            over = self.over(self.pieces)
+        if self.done % self.work.piece == 0:
+            if self.over is not None:
+                over = self.over(self.pieces)
+            if DIVERGED in self.pieces:
+                over = over | self.pieces[DIVERGED].any(1)
         units = self.runs.units[self.padded]
         return [row for row in self._left() if over[row] or units[row] == self.done]
 
     def _judged(self, row: int, state: Any, data: Any) -> Curves:
         """The curves of a run up to now, and what is judged of it."""
         first = self.runs.seed[self.rows[row]] == 0
+        broken = self.pieces[DIVERGED][row] if DIVERGED in self.pieces else np.zeros(1)
+        end = broken.argmax() + 1 if broken.any() else self.done
         curves = {
-            name: values[row]
+            name: values[row][:end]
             for name, values in self.pieces.items()
             if first or not name.startswith(SHOWN)
         }
@@ -401,11 +418,22 @@ class _Block:
                     own, own_data, jax.random.fold_in(key, int(name == "show")), hparams
                 )
             prefix = SHOWN if name == "show" else ""
-            curves |= {f"{prefix}{name}": np.asarray(values) for name, values in judged.items()}
+            found = {f"{prefix}{name}": _said(values) for name, values in judged.items()}
+            if broken.any():  # whatever a broken run does is no result
+                found = {name: np.full(values.shape, np.nan, np.float32)
+                         for name, values in found.items()}  # fmt: skip
+            curves |= found
         return curves
 
     def _put(self, tree: Any) -> Any:
         return jax.device_put(tree, self.place)
+
+
+def _said(values: Any) -> np.ndarray:
+    """On the host, NaN where work was skipped (`jaxdyna.dyna.conditional.nothing`)."""
+    values = np.asarray(values)
+    debugging = jax.config.jax_debug_nans and values.dtype.kind == "f"  # type: ignore[attr-defined]
+    return np.where(values == -np.inf, np.nan, values) if debugging else values
 
 
 class _Tally:

@@ -9,12 +9,14 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from jaxdyna.dyna.loop import DIVERGED
 from jaxdyna.experiments.engine import Arm, Work
 from jaxdyna.experiments.frames import judging
 from jaxdyna.experiments.frames.options import Training
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
 from jaxdyna.fields import changed
 from jaxdyna.models import PixelHParams
+from jaxdyna.trees import finite
 from jaxdyna.types import DynamicsModel, Key
 
 PIECE = 100
@@ -53,7 +55,10 @@ def frame_work(
         transitions = world.sample(data, key_sample, stage, batch)
         rate = 0.5 * (1 + jnp.cos(jnp.pi * number / stage.updates)) * stage.learning_rate
         state, losses = model.update(learner.model, transitions, key_update, hparams_of(rate))
-        return replace(learner, model=state), {"show_frame_loss": losses["frame_loss"]}
+        broken = jnp.where(finite(losses["loss"]), 0.0, 1.0 + DIVERGED.index("model"))
+        return replace(learner, model=state), {
+            "show_frame_loss": losses["frame_loss"], "diverged": broken
+        }  # fmt: skip
 
     def ask(about: Callable[..., judging.Judgement]) -> Any:
         return lambda learner, data, key, _: about(world, asked, learner.model.params, data, key)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxdyna import statistics
+from jaxdyna.dyna.loop import DIVERGED
 from jaxdyna.experiments.report.tables import Results, interval, per_seed
 from jaxdyna.statistics import SolveRule, last_mean, mean_of_runs, summarise
 
@@ -41,6 +42,19 @@ def describe_arm(curves: Curves, rule: SolveRule, budget: int) -> Results:
         "episodes_played": {"mean": float(played.mean()), "per_seed": played.tolist()},
         "solve_rule": str(rule),
     }
+
+
+def diverged(curves: Curves, seeds: Sequence[int]) -> Results:
+    """``diverged``: of each run whose numbers stopped being finite the unit at which (an episode,
+    or a gradient step; from 1) and whose they were, by its seed; nothing where none did.
+    """
+    numbers = np.nan_to_num(curves.get("diverged", np.zeros((len(seeds), 1)))).astype(int)
+    said = {
+        str(seed): {"unit": int(row.argmax()) + 1, "part": DIVERGED[row.max() - 1]}
+        for seed, row in zip(seeds, numbers, strict=True)
+        if row.any()
+    }
+    return {"diverged": said} if said else {}
 
 
 def by_class(names: Sequence[str], values: np.ndarray) -> Results:
