@@ -119,7 +119,7 @@ def swept(options: Any, said: Sequence[str]) -> dict[str, list[Any]]:
     for one in said:
         name, equals, values = one.partition("=")
         path = _path(name)
-        if not equals or not values:
+        if not (name and equals and values):
             raise ValueError(f"--sweep {one}: give it as FIELD=V,V,...")
         if path in NOT_SWEPT:
             raise ValueError(f"--sweep {path} makes no sense: every run has the same")

@@ -10,7 +10,7 @@ import jax
 
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, make_init, make_step
 from jaxdyna.experiments.engine import Arm, Work
-from jaxdyna.fields import SettingError
+from jaxdyna.fields import LARGEST, SettingError
 from jaxdyna.sweep import RUNS
 from jaxdyna.types import Agent, Key
 
@@ -123,10 +123,18 @@ def busy(config: Any) -> Any:
 
 
 def sized(config: Any, dyna: DynaConfig) -> Any:
-    """A DQN's config with room for what a run can add to its replays and no more."""
+    """A DQN's config with room for what a run can add to its replays and no more.
+
+    Raises:
+        SettingError: where that is more than can be counted.
+    """
     steps = dyna.dream_steps or dyna.num_steps
     dreams = dyna.dream_updates * dyna.dream_episodes
     fake = max(config.fake_capacity, dreams * steps)
+    if fake > LARGEST:
+        said = f"makes {dreams * steps:,} dreamed steps after each real episode: lower it, "
+        said += "dyna.dream_episodes or dyna.dream_steps"
+        raise SettingError("dyna.dream_updates", said)
     return replace(
         config,
         capacity=max(min(config.capacity, dyna.num_episodes * dyna.num_steps), dyna.num_steps),
