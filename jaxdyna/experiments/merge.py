@@ -10,7 +10,7 @@ import tyro
 
 from jaxdyna.experiments.engine import Curves, Experiment, Record, Results, cli, folders, storage
 from jaxdyna.experiments.engine.experiment import entries
-from jaxdyna.experiments.engine.session import different, recorded, results_of, write_report
+from jaxdyna.experiments.engine.record import different, recorded, results_of, write_report
 from jaxdyna.experiments.engine.work import SHOWN, joined
 from jaxdyna.fields import setting
 

@@ -1,0 +1,108 @@
+"""A record is a pure function of curves, settings and what is said about how they came about: its
+``results.json``, its report, and the way back from there to the experiment.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from jaxdyna import fields
+from jaxdyna.experiments.engine import storage
+from jaxdyna.experiments.engine.experiment import Experiment, Record, Results, Study
+from jaxdyna.experiments.engine.work import Curves
+from jaxdyna.experiments.report.summaries import compare, describe_arm, diverged
+from jaxdyna.experiments.report.tables import label, paragraphs
+
+
+def results_of(
+    experiment: Experiment, options: Any, setups: Mapping[str, Any], curves: Mapping[str, Curves],
+    about: Results,
+) -> Results:  # fmt: skip
+    """What is in ``results.json``, from the experiment's settings, those of each entry and its
+    curves ``[runs, ...]``, and what says ``about`` these how they came about, ``timing`` with it.
+    """
+    rule = experiment.rule(options) if experiment.rule else None
+    arms: Results = {}
+    for name, values in curves.items():
+        arm, _, where = name.partition("@")
+        said: Results = {"arm": arm, "setting": where} if where else {}
+        said |= diverged(values, about["runs"]["seeds"])
+        if rule is not None and "real_return" in values:
+            said |= describe_arm(values, rule, options.episodes)
+        for describe in experiment.describe:
+            said |= describe(setups.get(name, options), values)
+        arms[name] = said
+    spent = about["timing"]["arms"].values()
+    total = {part: sum(one.get(part, 0.0) for one in spent) for part in ("compile_s", "run_s")}
+    timing = total | {"shards": 1} | about["timing"]
+    config = fields.plain(options) | {"arms": list(curves)}
+    results = about | {"preset": options.preset, "config": config, "timing": timing, "arms": arms}
+    if rule is not None:
+        results["ratio_to_model_free"] = compare(arms, "model_free")
+    return results
+
+
+def recorded(results: Results) -> tuple[Experiment, Any, dict[str, list[Any]]]:
+    """What a record's ``results.json`` says that was played: the experiment, its settings, and the
+    values that were swept, by dotted path.
+
+    Raises:
+        ValueError: where there is no such experiment, or it does not read the settings.
+    """
+    try:
+        parts = importlib.import_module(shlex.split(results["command"])[2]).PARTS
+        part = {part.name: part for part in parts}[results["part"]]
+        experiment = part.experiment() if isinstance(part, Study) else part
+        default = experiment.presets[results["preset"]]
+    except (ImportError, AttributeError, LookupError):
+        raise ValueError(f"there is no such experiment: {results['command']}") from None
+    options = fields.restored(default, results["config"])
+    return experiment, options, read_back(options, results["sweep"])
+
+
+def read_back(options: Any, sweep: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
+    """The values that were swept, by dotted path, as ``results.json`` has them."""
+    return {
+        path: [fields.value_at(fields.restored(options, {path: value}), path) for value in values]
+        for path, values in sweep.items()
+    }
+
+
+def write_report(experiment: Experiment, record: Record) -> str:
+    """Writes ``report.md`` and its figures into the record's folder; returns the text."""
+    head = [f"# {experiment.title}", f"`{record.results['command']}`"]
+    if missing := record.results.get("unfinished"):
+        head.append(f"**Interrupted: {', '.join(missing)} not finished; --resume goes on.**")
+    if others := record.results.get("made_otherwise"):
+        said = "were played before, by other code or versions than the rest"
+        head.append(f"**{', '.join(others)} {said}** (results.json says which).")
+    head += [
+        f"**Numbers of {name} stopped being finite**, and its runs there: " + "; ".join(
+            f"seed {seed} at {said['unit']} ({said['part']})"
+            for seed, said in arm["diverged"].items()
+        ) + ". Lower the learning rate of what broke." 
+        for name, arm in record.results["arms"].items() if "diverged" in arm
+    ]  # fmt: skip
+    text = paragraphs(*(section(record) for section in experiment.sections))
+    for name in record.results["arms"]:
+        text = re.sub(rf"(?<!\w){re.escape(name)}", label(name), text)  # not the names of files
+    text = paragraphs(*head, text) + "\n"
+    storage.write_text(record.out / "report.md", text)
+    return text
+
+
+def different(before: Results, now: Results, prefix: str = "") -> list[str]:
+    """Paths of the settings that differ; ones that did not exist then are as they were."""
+    paths = []
+    for name, value in now.items():
+        if name not in before or before[name] == value:
+            continue
+        nested = isinstance(value, dict) and isinstance(before[name], dict)
+        paths += (
+            different(before[name], value, f"{prefix}{name}.") if nested else [f"{prefix}{name}"]
+        )
+    return paths
