@@ -10,15 +10,21 @@ import numpy as np
 from jaxdyna import fields
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.summaries import HELD_EPISODES, comparisons
-from jaxdyna.experiments.report.tables import markdown_table, paragraphs, runs, with_interval
-from jaxdyna.statistics import FEW, SolveRule, episodes_to_solve, mean_of_runs
+from jaxdyna.experiments.report.tables import (
+    Results,
+    markdown_table,
+    paragraphs,
+    runs,
+    with_interval,
+)
+from jaxdyna.statistics import FEW, SolveRule, episodes_to_solve, mean_of_runs, summarise
 
 Section = Callable[[Any], str]
 Rule = Callable[[Any], SolveRule]
 P = ParamSpec("P")
 COUNTED = (
     "The rule is the same for all arms and counts every real episode. An unsolved run is never "
-    "dropped: it leaves the mean undefined, of which only a lower bound (≥) is then known."
+    "dropped: it counts as the budget (a restricted mean)."
 )
 NONE_OF_FEW = "Figures of solving have no interval: of five runs or fewer none can be trusted."
 QUANTILES = (5, 50, 95, 99)
@@ -58,7 +64,7 @@ def solving(
     header, lines = tables.solve_table(record.results)
     header.append("real steps before: median")
     for line, arm in zip(lines, record.results["arms"].values(), strict=True):
-        line.append(tables.number(arm["real_steps_to_solve"], "median"))
+        line.append(tables.median(arm["real_steps_to_solve"]))
     if set(paper) & set(record.results["arms"]):
         header.insert(1, "paper")
         for line, name in zip(lines, record.results["arms"], strict=True):
@@ -66,8 +72,23 @@ def solving(
     return paragraphs(
         f"{runs(count)} of each arm. {solves.capitalize()}. {COUNTED} {said}".rstrip(),
         markdown_table(header, lines), "" if count > FEW else NONE_OF_FEW, _never(record),
+        _half(record.results),
         *comparisons(record.results, ratio), swept(record),
     )  # fmt: skip
+
+
+def _half(results: Results) -> str:
+    """The restricted means at half the budget, where some run did not solve in all of it."""
+    arms, half = results["arms"], results["config"]["episodes"] / 2
+    figures = {name: arm["episodes_to_solve"] for name, arm in arms.items()}
+    if all(one["solved"] == one["seeds"] for one in figures.values()):
+        return ""
+    said = []
+    for name, one in figures.items():
+        values = tables.per_seed(one)
+        cut = summarise(np.where(values <= half, values, np.inf), at_least=half)
+        said.append(f"{name} {cut['solved']}/{cut['seeds']}, {tables.with_interval(cut)}")
+    return f"Within half the budget, {half:g} episodes: {'; '.join(said)}."
 
 
 def _never(record: Any) -> str:
