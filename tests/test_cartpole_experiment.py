@@ -17,7 +17,7 @@ from renamed import respelled
 from jaxdyna.experiments.cartpole import PARTS
 from jaxdyna.experiments.cartpole.arms import arms
 from jaxdyna.experiments.cartpole.options import LEAN
-from jaxdyna.experiments.engine import Engine, main, session
+from jaxdyna.experiments.engine import Engine, main, session, storage
 from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.fields import changed
@@ -220,14 +220,14 @@ def test_a_new_run_sets_the_old_one_aside(tmp_path, capsys):
     (tmp_path / "results.json").write_text("{")
     capsys.readouterr()
     again = ["--arms", "model_free", "--seed", "5", "--resume", "--out", str(tmp_path)]
-    assert "is not whole" in refused(capsys, *TINY, *again)
+    assert "results.json is damaged" in refused(capsys, *TINY, *again)
 
 
 def test_resume_with_further_arms_says_so(tmp_path):
     play(tmp_path, "--arms", "model_free")
-    alone = json.loads((tmp_path / "results.json").read_text())
+    alone = storage.read_json(tmp_path / "results.json")
     alone["device"]["peak_memory_gib"] = 999.0
-    (tmp_path / "results.json").write_text(json.dumps(alone))
+    storage.write_json(tmp_path / "results.json", alone)
     play(tmp_path, "--arms", "oracle", "--resume")
     results = json.loads((tmp_path / "results.json").read_text())
     assert set(results["arms"]) == set(results["config"]["arms"]) == {"model_free", "oracle"}
