@@ -97,7 +97,11 @@ def test_an_arms_figures_are_those_of_each_runs_own_episodes():
 
 
 POPULATIONS = np.load(Path(__file__).parent / "data" / "populations.npz")
-"""Episodes to solve of 100 runs each of CartPole, an unsolved one at its budget."""
+"""CartPole: episodes to solve of 100 runs an arm, an unsolved one at its budget; real steps before
+ten good episodes in a row, of 1,000.
+"""
+SKEWED = {"lognormal 1": 0.90, "ten in a row": 0.90, "oracle": 0.915}
+"""Of which intervals hold the mean less often than 92.5 times in 100."""
 SHAPES = {
     "normal": (lambda draw, shape: draw.normal(10, 2, shape), 10),
     "lognormal .5": (lambda draw, shape: draw.lognormal(0, 0.5, shape), np.exp(0.125)),
@@ -132,7 +136,7 @@ def test_an_interval_holds_the_mean_about_as_often_as_it_says(name):
 def test_coverage(name, seeds):
     """As measured: with skew nearly all misses are on the high side."""
     held, above, below = coverage(name, seeds, 10_000, positive=True, resamples=1000)
-    assert held >= (0.90 if name == "lognormal 1" else 0.925), (held, above, below)
+    assert held >= SKEWED.get(name, 0.925), (held, above, below)
     assert above + below <= 0.1 and above <= 0.04
 
 
