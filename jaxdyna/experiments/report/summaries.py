@@ -17,6 +17,7 @@ HELD_EPISODES = 50
 UNITS = {
     "episodes_to_solve": "episodes",
     "real_steps_to_solve": "real steps before the solving window",
+    "first_solved": "episodes up to the solving window's first",
 }
 NOT_TOLD_APART = " They are not told apart."
 
