@@ -91,7 +91,8 @@ def test_lower_thresholds_are_reached_earlier(tmp_path, monkeypatch):
     """By hand: dyna is at 5 from the third episode on and at 10 from the fifth, model_free at 5
     from the sixth on and never at 10.
     """
-    played, drawn = {"dyna": [0, 0, 5, 5, 10, 10, 10, 10], "model_free": [0] * 5 + [5] * 3}, {}
+    drawn = {}
+    played = {"dyna": [0, 0, 5, 5, 10, 10, 10, 10], "model_free": [0] * 5 + [5] * 3}
     monkeypatch.setattr(
         plots, "bands", lambda path, panels, *rest, **more: drawn.update(panels[""])
     )
