@@ -246,7 +246,8 @@ def test_settings_of_an_unfinished_run_that_are_damaged(finished, tmp_path, monk
     [
         ({"source": "another"}, "with other code of jaxdyna or of the experiment"),
         ({"versions": {"jax": "0.0.1"}}, "with jax 0.0.1 (now "),
-        ({"device": {"platform": "tpu", "x64": True}}, "'tpu', 'x64': True} (now {"),
+        ({"device": {"platform": "tpu", "x64": True}}, "platform tpu (now cpu), x64 True (now Fal"),
+        ({"device": {"platform": "cpu", "x64": False, "threads": 99}}, "; NPROC=99 makes it so"),
         ({"source": None, "versions": None, "device": None}, "with other code"),
     ],
 )

@@ -53,8 +53,9 @@ def assert_same(ours, theirs):
 def test_again_on_one_core_and_in_shards(name, tmp_path):
     run = [*command(name), "--seeds", "3", "--block", "2"]
     whole = play(tmp_path / "whole", *run)
-    core = {min(os.sched_getaffinity(0))}
-    assert_same(play(tmp_path / "again", *run, cores=core), whole)
+    cores = os.sched_getaffinity(0)
+    again = play(tmp_path / "again", *run, cores={min(cores)}, NPROC=str(len(cores)))
+    assert_same(again, whole)
     shards = [play(tmp_path / str(i), *run, "--shard", f"{i}/2") for i in (1, 2)]
     merge = [sys.executable, "-m", "jaxdyna.experiments.merge", *shards, "--out", tmp_path / "all"]
     subprocess.run(merge, check=True, capture_output=True)

@@ -180,15 +180,18 @@ def write_text(path: Path, text: str) -> None:
 
 def made_with(modules: Iterable[str]) -> Results:
     """What a run's numbers depend on beside its settings: ``versions``, ``source``, a hash of the
-    code, and of the ``device`` the platform and x64.
+    code, and of the ``device`` the platform, x64 and ``threads``, into which XLA divides sums on a
+    CPU: as many as there are cores, or as ``NPROC`` says.
 
     Args:
         modules: those that define the experiment.
     """
     packages = {name: version(name) for name in PACKAGES}
     python = {"jaxdyna": jaxdyna.__version__, "python": platform.python_version()}
-    precision = {"platform": jax.default_backend(), "x64": jax.config.jax_enable_x64}  # type: ignore[attr-defined]
-    return {"versions": python | packages, "source": source(modules), "device": precision}
+    device = {"platform": jax.default_backend(), "x64": jax.config.jax_enable_x64}  # type: ignore[attr-defined]
+    if device["platform"] == "cpu":
+        device["threads"] = int(os.environ.get("NPROC") or cores())
+    return {"versions": python | packages, "source": source(modules), "device": device}
 
 
 def changes(before: Results, now: Results) -> str:
@@ -198,8 +201,11 @@ def changes(before: Results, now: Results) -> str:
             if then.get(name, new) != new]  # fmt: skip
     if before["source"] != now["source"]:
         said.append("other code of jaxdyna or of the experiment")
-    if before["device"] != now["device"]:
-        said.append(f"{before['device']} (now {now['device']})")
+    then = before["device"] or {}
+    said += [f"{name} {then.get(name)} (now {value})" for name, value in now["device"].items()
+             if then.get(name) != value]  # fmt: skip
+    if then.get("threads") != now["device"].get("threads"):
+        said[-1] += f"; NPROC={then.get('threads')} makes it so"
     return ", ".join(said)
 
 
