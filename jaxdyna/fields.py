@@ -16,6 +16,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
+import jax
 import numpy as np
 
 T = TypeVar("T")
@@ -155,8 +156,8 @@ def type_hints(kind: Any) -> dict[str, Any]:
 
 
 def check(settings: Any, prefix: str = "") -> None:
-    """Checks every value against its type, numbers against their range too, and text against its
-    choices. Arrays and tracers pass, and so do functions and other objects.
+    """Checks every value against its type, numbers against their range too, those of an array as
+    well, and text against its choices. Tracers pass, and so do functions and other objects.
 
     Raises:
         SettingError: naming the first that cannot be, and what can.
@@ -169,13 +170,18 @@ def check(settings: Any, prefix: str = "") -> None:
 def _wanted_instead(leaf: Leaf) -> str | None:
     """What the value must be, where it is something else."""
     parts = tuple(_parts(leaf.value))
-    numbers: list[Any] = [part for part in parts if isinstance(part, int | float | np.number)]
-    words = [part for part in parts if isinstance(part, str)]
     kinds = _union(leaf.hint)
+    numbers: list[Any] = [part for part in parts if isinstance(part, int | float | np.number)]
+    if {int, float} & set(kinds):
+        numbers += [end for part in parts for end in _ends(part)]
+    words = [part for part in parts if isinstance(part, str)]
     if leaf.choices and any(word not in leaf.choices.values() for word in words):
         return f"be one of {', '.join(leaf.choices)}"
-    if not _fits(leaf.value, leaf.hint):
-        return f"be {_describe(leaf.hint)}"
+    is_class = isinstance(leaf.value, type) and all(
+        get_origin(kind) is not Callable for kind in kinds
+    )
+    if is_class or not _fits(leaf.value, leaf.hint):
+        return f"be {'one made by that class' if is_class else _describe(leaf.hint)}"
     if not parts and not leaf.empty:
         return "not be empty"
     if not all(leaf.range.holds(number) for number in numbers):
@@ -184,6 +190,76 @@ def _wanted_instead(leaf: Leaf) -> str | None:
     if leaf.range.high is None and any(most < abs(n) < math.inf for n in numbers):
         return f"be at most {most:.12g}"
     return None
+
+
+def _ends(value: Any) -> list[Any]:
+    """The least and the greatest number of an array, NaN where there is any."""
+    concrete = isinstance(value, np.ndarray | jax.Array) and not isinstance(value, jax.core.Tracer)
+    if not concrete or not np.issubdtype(value.dtype, np.number) or not value.size:
+        return []
+    return [np.asarray(value).min(), np.asarray(value).max()]
+
+
+def check_like(name: str, given: Any, like: Any) -> None:
+    """Checks an argument that is to have the fields of such settings.
+
+    Raises:
+        SettingError: where one is lacking, or a value cannot be.
+    """
+    lacking = [
+        field for field in getattr(like, "__dataclass_fields__", ()) if not hasattr(given, field)
+    ]
+    if lacking:
+        said = f"is a {type(given).__name__}, without {lacking[0]}: give a {type(like).__name__}"
+        raise SettingError(name, said)
+    if _is_settings(given):
+        check(given, f"{name}.")
+
+
+def config_of(config: Any, kind: Callable[[], T]) -> T:
+    """The argument ``config`` of a function, by default ``kind()``.
+
+    Raises:
+        SettingError: where it is of another kind.
+    """
+    if config is not None and not isinstance(config, kind):  # type: ignore[arg-type]
+        raise SettingError("config", f"is a {type(config).__name__}: give a {_name(kind)}")
+    return kind() if config is None else config
+
+
+def why(error: Exception) -> str:
+    """What an error says, in one line."""
+    lines = str(error).split("\n")
+    return f"{type(error).__name__}, {lines[0] or 'no more'}"
+
+
+def check_counts(at_least: int = 1, **named: Any) -> None:
+    """Checks arguments of a function, by name: whole numbers of at least so much.
+
+    Raises:
+        SettingError: naming the first that is none.
+    """
+    for name, value in named.items():
+        if not _counts(value, at_least):
+            raise SettingError(name, f"is {value}: it must be a whole number, at least {at_least}")
+
+
+def check_shape(*ranks: int, **named: Any) -> None:
+    """Checks arguments of a function, by name: shapes of so many axes; without ``ranks`` of any.
+
+    Raises:
+        SettingError: naming the first that is none.
+    """
+    for name, value in named.items():
+        shape = isinstance(value, tuple | list) and all(_counts(size, 1) for size in value)
+        if not shape or (ranks and len(value) not in ranks):
+            axes = f" of {' or '.join(map(str, ranks))}" if ranks else ""
+            raise SettingError(name, f"is {value}: give a tuple{axes} whole numbers, at least 1")
+
+
+def _counts(value: Any, at_least: int) -> bool:
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return whole and value >= at_least
 
 
 def changed(settings: T, overrides: Mapping[str, Any]) -> T:

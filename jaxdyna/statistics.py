@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom, rankdata
 
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import check, check_counts, setting
 
 Summary = dict[str, Any]
 FEW = 5
@@ -42,6 +42,10 @@ class SolveRule:
 
     def score(self, curves: Mapping[str, np.ndarray]) -> np.ndarray:
         """Of every episode, ``[seeds, episodes]``: its return, or how far it is above its share."""
+        for name in {"real_return", self.share_of or "real_return"} - set(curves):
+            raise ValueError(
+                f"there is no curve {name}, only {', '.join(curves) or 'none'}: add it"
+            )
         returns = np.asarray(curves["real_return"], np.float64)
         return (
             returns if self.share_of is None else returns - self.threshold * curves[self.share_of]
@@ -61,7 +65,8 @@ def episodes_to_solve(returns: np.ndarray, rule: SolveRule) -> np.ndarray:
     """The number, from 1, of the episode that ends the first solving window.
 
     Args:
-        returns: `SolveRule.score`, ``[..., episodes]``; NaN where an episode was not played.
+        returns: `SolveRule.score`, ``[..., episodes]``; NaN where an episode was not played. A
+            window with what is not finite in it solves nothing, and spoils no other one.
         rule: when a run is solved.
 
     Returns:
@@ -77,12 +82,20 @@ def episodes_to_solve(returns: np.ndarray, rule: SolveRule) -> np.ndarray:
 
 def running_mean(values: np.ndarray, window: int) -> np.ndarray:
     """The mean of the last ``window`` entries at each of ``[..., episodes]``, of fewer at the
-    start, float64 of the same shape; after a NaN all is NaN.
+    start, float64 of the same shape; NaN where one of them is not finite.
     """
-    padded = np.concatenate([np.zeros((*values.shape[:-1], 1)), values.cumsum(-1, np.float64)], -1)
+    check_counts(window=window)
     ends = np.arange(1, values.shape[-1] + 1)
     starts = np.maximum(ends - window, 0)
-    return (padded[..., ends] - padded[..., starts]) / (ends - starts)
+
+    def sums(parts: np.ndarray) -> np.ndarray:
+        padded = np.concatenate(
+            [np.zeros((*parts.shape[:-1], 1)), parts.cumsum(-1, np.float64)], -1
+        )
+        return padded[..., ends] - padded[..., starts]
+
+    finite = np.isfinite(values)
+    return np.where(sums(~finite) > 0, np.nan, sums(np.where(finite, values, 0)) / (ends - starts))
 
 
 def carried(values: np.ndarray) -> np.ndarray:
@@ -126,8 +139,12 @@ def summarise(
         or fewer, and for seeds that are all alike; ``median_ci95`` (exact, by ranks); ``solved``
         and ``seeds`` (counts); ``budget`` (the largest bound) and ``restricted_mean``, the mean
         with unsolved seeds at their bound, both None without ``at_least``.
+
+    Raises:
+        ValueError: where there are no seeds, as of every function here.
     """
     per_seed = np.asarray(per_seed, np.float64)
+    _check_runs(per_seed=per_seed)
     solved = np.isfinite(per_seed) if solved is None else solved
     budget = restricted = None
     if at_least is not None:
@@ -212,6 +229,7 @@ def ratio_of_means(
         unsolved seed in the numerator, or one without a bound, leaves nothing known, and no
         interval of five seeds or fewer.
     """
+    _check_runs(numerator=numerator, denominator=denominator)
     bound = not np.isfinite(denominator).all()
     denominator = np.where(np.isfinite(denominator), denominator, denominator_at_least)
     if not (np.isfinite(numerator).all() and np.isfinite(denominator).all()):
@@ -236,6 +254,10 @@ def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float,
     bootstrap interval over seeds.
     """
 
+    if np.shape(left) != np.shape(right) or np.ndim(left) != 2:
+        shapes = f"{np.shape(left)} and {np.shape(right)}"
+        raise ValueError(f"tables of shapes {shapes}: give two of the same [settings, seeds]")
+
     def correlate(draws):
         ranks = [rankdata(values[:, draws].mean(-1), axis=0) for values in (left, right)]
         one, other = (each - each.mean(0) for each in ranks)
@@ -246,6 +268,15 @@ def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float,
     draws = np.random.default_rng(0).integers(0, seeds, (2000, seeds))
     low, high = np.percentile(correlate(draws), [2.5, 97.5])
     return float(correlate(np.arange(seeds)[None])[0]), float(low), float(high)
+
+
+def _check_runs(**named: np.ndarray) -> None:
+    for name, values in named.items():
+        if np.ndim(values) != 1 or not np.size(values):
+            shape = list(np.shape(values))
+            raise ValueError(
+                f"{name} is an array {shape}: give one number a run, [seeds], of one or more"
+            )
 
 
 def _row_means(values: np.ndarray) -> np.ndarray:

@@ -12,7 +12,14 @@ import numpy as np
 
 from jaxdyna.planners import Guide, Planner
 from jaxdyna.trees import difference, is_key, named_leaves, stack
-from jaxdyna.types import Agent, DynamicsModel, Environment, Transition
+from jaxdyna.types import (
+    Agent,
+    DynamicsModel,
+    Environment,
+    Transition,
+    check_part,
+    check_transitions,
+)
 
 ROWS, STEPS = 4, 50
 """Calls that are compared with one another, and steps of an episode at the most."""
@@ -39,6 +46,7 @@ def check_environment(env: Environment, params: Any = None, random: bool | None 
         params: its parameters, by default ``env.default_params``.
         random: True demands that the key matters; None does not, as nothing need be random.
     """
+    check_part("env", env, "reset", "step", "default_params", "num_actions")
     name = type(env).__name__
     try:
         hash(env)
@@ -84,6 +92,8 @@ def check_agent(agent: Agent, hparams: Any, transitions: Transition, num_actions
         transitions: a few whole episodes ``[N, T]``, with T of at least 2.
         num_actions: of the world.
     """
+    check_part("agent", agent, "init", "act", "update")
+    _check_episodes(transitions)
     state = _Pure("init", agent.init)(_keys(0)[0], hparams)
     obs = np.asarray(transitions.obs)[0]
     for name in ("act", "act_fake"):
@@ -104,6 +114,8 @@ def check_model(model: DynamicsModel, hparams: Any, transitions: Transition) -> 
         hparams: its hyper-parameters.
         transitions: a few whole episodes ``[N, T]``, with T of at least 2.
     """
+    check_part("model", model, "init", "predict", "update")
+    _check_episodes(transitions)
     state = _Pure("init", model.init)(_keys(0)[0], hparams)
     _demand(hasattr(state, "params"), "init's state has no params: call what predict takes so")
     obs, action = np.asarray(transitions.obs)[0], np.asarray(transitions.action)[0]
@@ -127,6 +139,7 @@ def check_planner(planner: Planner, env: Environment, params: Any, prior: bool =
         params: its parameters.
         prior: whether ``guide.prior`` has to count, as where it starts from a policy.
     """
+    check_part("planner", planner, "__call__")
     name, reset, zeros = "the planner", jax.jit(env.reset), np.zeros(env.num_actions, np.float32)
     starts = [(*reset(key, params), key) for key in _keys(0)]
 
@@ -269,6 +282,13 @@ def _check_update(
         alone = _Pure(name, update)(new, other, key, hparams)
         _demand(not _far(alone, some), f"{name} {form}")
         raise ContractError(f"{name} differs under vmap: compute along a run's own axes")
+
+
+def _check_episodes(transitions: Transition) -> None:
+    shape = np.shape(transitions.mask)
+    wrong = f"transitions are {list(shape)}: give episodes [N, T], of at least 2 steps"
+    _demand(len(shape) == 2 and shape[1] > 1, wrong)
+    check_transitions(transitions, 2)
 
 
 def _learned(state: Any) -> np.ndarray:

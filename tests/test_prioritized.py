@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from jaxdyna.networks import GlimpseQ, glimpses
 from jaxdyna.replay import frames as frame_replay
-from jaxdyna.replay import prioritized
+from jaxdyna.replay import prioritized, ring
 from jaxdyna.types import Transition
 
 ADD, REPRIORITISE = jax.jit(prioritized.add), jax.jit(prioritized.reprioritise)
@@ -172,3 +172,16 @@ def test_an_error_that_is_no_number_stops_nothing(error):
     shares, *_ = frequencies(held)
     expected = np.where(np.arange(8) == 3, 0, 1 / 7)
     np.testing.assert_allclose(shares[:8], expected, atol=0.01)
+
+
+def test_priorities_far_apart_are_all_drawn():
+    """Of 200,000 in a running float32 sum, what is 10,000 times less likely than the first would be
+    lost.
+    """
+    likely, count = 4_000, 200_000
+    weight = jnp.where(jnp.arange(count) < likely, 1.0, 1e-4)
+    drawn = np.asarray(jax.jit(ring.draw, static_argnums=2)(weight, jax.random.key(0), (count // 2,)))
+    rare, share = drawn[drawn >= likely], 1e-4 * (count - likely) / float(weight.sum())
+    assert len(rare) == pytest.approx(share * len(drawn), rel=0.2)
+    assert len(np.unique(rare)) > 0.98 * len(rare)
+    assert np.histogram(rare, 4, (likely, count))[0].min() > 0.15 * len(rare)

@@ -17,11 +17,11 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import check, config_of, setting
 from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.replay import ring
 from jaxdyna.replay.ring import Replay
-from jaxdyna.types import Agent, Key, Transition, check_transitions
+from jaxdyna.types import Agent, Key, Transition, check_part, check_transitions
 
 Loss = Callable[[jax.Array, jax.Array], jax.Array]
 """``(outputs [A], action) -> loss`` of one imitated action, a scalar."""
@@ -123,6 +123,8 @@ def cloning(
     Returns:
         An `Agent` with the hparams of ``agent``.
     """
+    check_part("agent", agent, "init", "act", "update")
+    config = config_of(config, CloningConfig)
 
     def init(key: Key, hparams: Any) -> CloningState:
         own = agent.init(key, hparams)
@@ -193,4 +195,6 @@ def _lifted(agent: Agent, init: Callable, update_expert: Callable, install: Call
         agent.act_fake and lift_act(agent.act_fake),
         agent.update_fake and lift_update(agent.update_fake),
         update_expert,
+        agent.num_actions,
+        agent.hparams,
     )

@@ -16,8 +16,9 @@ from flax import struct
 from jaxdyna.agents import exploration
 from jaxdyna.agents.dqn_settings import DQNConfig, DQNHParams
 from jaxdyna.agents.exploration import Exploration
+from jaxdyna.fields import SettingError, check_counts, check_shape, config_of
 from jaxdyna.losses import td_error
-from jaxdyna.networks import GlimpseQ, PerceptronQ
+from jaxdyna.networks import GlimpseQ, PerceptronQ, output_shapes
 from jaxdyna.replay import frames as frame_replay
 from jaxdyna.replay import prioritized
 from jaxdyna.replay.frames import FrameReplay
@@ -75,18 +76,19 @@ def dqn(
         An `Agent` whose hparams are `DQNHParams`.
 
     Raises:
-        ValueError: where an observation is neither.
+        ValueError: where an observation is neither, or the network does not take it to the values.
     """
-    if len(frame_shape) not in (1, 3):
-        raise ValueError(
-            f"frame_shape is {frame_shape}: give (height, width, channels) of a frame, or (n,) of "
-            "a vector"
-        )
-    config, pictures = config or DQNConfig(), len(frame_shape) == 3
+    check_shape(1, 3, frame_shape=frame_shape)
+    config, pictures = config_of(config, DQNConfig), len(frame_shape) == 3
+    num_frames = (4 if pictures else 1) if num_frames is None else num_frames
+    check_counts(num_actions=num_actions, num_frames=num_frames)
     network = config.network or (GlimpseQ if pictures else PerceptronQ)(num_actions)
-    values, num_frames = partial(q_values, network), num_frames or (4 if pictures else 1)
-    obs_shape = (*frame_shape[:-1], frame_shape[-1] * num_frames)
+    values, obs_shape = (
+        partial(q_values, network),
+        (*frame_shape[:-1], frame_shape[-1] * num_frames),
+    )
     kind = jnp.uint8 if pictures else jnp.float32
+    _check_settings(config, network, obs_shape, num_actions, num_frames)
 
     def init(key: Key, hparams: DQNHParams) -> DQNState:
         params = network.init(key, jnp.zeros((1, *obs_shape)))
@@ -169,7 +171,19 @@ def dqn(
 
         return _where((transitions.weights > 0).any(), work, state)
 
-    return Agent(init, act, update, act_fake, update_fake)
+    return Agent(init, act, update, act_fake, update_fake, None, num_actions, DQNHParams)
+
+
+def _check_settings(
+    config: DQNConfig, network: Any, obs_shape: tuple[int, ...], num_actions: int, num_frames: int
+) -> None:
+    made = output_shapes(network, (2, *obs_shape)).shape
+    if made != (2, num_actions):
+        said = f"makes {made} of 2 observations {obs_shape}: it must make (2, {num_actions})"
+        raise SettingError("network", said)
+    for name, kept in (("capacity", config.capacity), ("fake_capacity", config.fake_capacity)):
+        if kept < num_frames:
+            raise SettingError(name, f"is {kept}: keep at least a stack of {num_frames} frames")
 
 
 def real_memory(state: DQNState) -> FrameReplay:

@@ -81,7 +81,9 @@ class AtariPong(Pictures):
 
     @property
     def default_params(self) -> AtariParams:
-        """Games to 21 points, cut after the 108,000 frames (half an hour) of the literature."""
+        """Games to 21 points, cut after the 108,000 frames (half an hour) of the literature. The
+        emulator counts those of doing nothing too, and plays no more than so many.
+        """
         return AtariParams(max_steps=108_000 // self.frame_skip)
 
     @property
@@ -106,11 +108,11 @@ class AtariPong(Pictures):
             -1 for one lost.
         """
         del key
-        saved, screen, reward, over = _on_host(
+        saved, screen, reward, over, cut = _on_host(
             state.emulator, jnp.asarray(action, jnp.int32), jnp.int32(self.frame_skip)
         )
         new = replace(state, emulator=saved, time=state.time + 1)
-        late = new.time >= params.max_steps
+        late = cut | (new.time >= params.max_steps)
         return self._frame(screen), new, reward, over, ~over & late, {}
 
     def _frame(self, screen: jax.Array) -> jax.Array:
@@ -121,11 +123,14 @@ class AtariPong(Pictures):
 
 
 def _on_host(saved: jax.Array, action: jax.Array, frames: jax.Array) -> Any:
-    """``saved, screen, reward, over`` after so many frames; all zeros is a new game."""
+    """``saved, screen, reward, over, cut`` after so many frames, the last by the emulator's own
+    limit; all zeros is a new game.
+    """
     shapes = (
         jax.ShapeDtypeStruct((EMULATOR_BYTES,), jnp.uint8),
         jax.ShapeDtypeStruct(SCREEN, jnp.uint8),
         jax.ShapeDtypeStruct((), jnp.float32),
+        jax.ShapeDtypeStruct((), jnp.bool_),
         jax.ShapeDtypeStruct((), jnp.bool_),
     )
     return jax.pure_callback(_play, shapes, saved, action, frames, vmap_method="broadcast_all")
@@ -137,13 +142,13 @@ def _play(saved: Any, action: Any, frames: Any) -> Any:
     lead = action.shape
     rows = (saved.reshape(-1, EMULATOR_BYTES), action.reshape(-1), frames.reshape(-1))
     played = list(_threads().map(_play_one, *rows))
-    dtypes = (np.uint8, np.uint8, np.float32, np.bool_)
+    dtypes = (np.uint8, np.uint8, np.float32, np.bool_, np.bool_)
     columns = zip(zip(*played, strict=True), dtypes, strict=True)
     stacks: Any = (np.stack(column).astype(dtype, copy=False) for column, dtype in columns)
     return tuple(stack.reshape((*lead, *stack.shape[1:])) for stack in stacks)
 
 
-def _play_one(saved: np.ndarray, action: int, frames: int) -> tuple[np.ndarray, Any, float, bool]:
+def _play_one(saved: np.ndarray, action: int, frames: int) -> tuple[Any, ...]:
     if not hasattr(_here, "emulator"):
         _here.emulator = atari_emulator("Pong")
         _here.start = _here.emulator.cloneState(include_rng=True)
@@ -151,7 +156,8 @@ def _play_one(saved: np.ndarray, action: int, frames: int) -> tuple[np.ndarray, 
     ale.restoreState(_unpacked(saved, _here.start) if saved.any() else _here.start)
     buttons = ale.getMinimalActionSet()
     reward = sum(ale.act(buttons[int(action)]) for _ in range(int(frames)))
-    return _packed(ale.cloneState(include_rng=True)), ale.getScreenRGB(), reward, ale.game_over()
+    ends = (ale.game_over(with_truncation=False), ale.game_truncated())
+    return _packed(ale.cloneState(include_rng=True)), ale.getScreenRGB(), reward, *ends
 
 
 def _packed(state: Any) -> np.ndarray:

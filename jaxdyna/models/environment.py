@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from jaxdyna.fields import setting
-from jaxdyna.types import Environment, Key, Prediction
+from jaxdyna.fields import SettingError, setting
+from jaxdyna.types import Environment, Key, Prediction, check_part
 
 
 @struct.dataclass
@@ -89,7 +89,12 @@ def never(prediction: Prediction, params: LearnedParams) -> jax.Array:
 def uniform_start(low: float, high: float) -> Callable[[Key, Any], jax.Array]:
     """Start states whose every entry is uniform in ``[low, high)``; ``params.start`` is an array
     of the observation's shape.
+
+    Raises:
+        SettingError: where there is nothing between them.
     """
+    if not -math.inf < low <= high < math.inf:
+        raise SettingError("low", f"is {low} and high {high}: give finite ones, low at most high")
 
     def start(key: Key, like: jax.Array) -> jax.Array:
         return jax.random.uniform(key, like.shape, like.dtype, minval=low, maxval=high)
@@ -115,6 +120,11 @@ class LearnedEnvironment:
     start: Callable[[Key, Any], jax.Array]
     terminates: Callable[[Prediction, LearnedParams, Key], jax.Array] = threshold_rule
     truncates: Callable[[Prediction, LearnedParams], jax.Array] = never
+
+    def __post_init__(self) -> None:
+        check_part("real", self.real, "default_params", "num_actions")
+        for name in ("predict", "start", "terminates", "truncates"):
+            check_part(name, getattr(self, name), "__call__")
 
     @property
     def default_params(self) -> LearnedParams:

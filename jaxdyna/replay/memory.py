@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.fields import check_counts
 from jaxdyna.replay import frames as frame_replay
 from jaxdyna.replay import ring
 from jaxdyna.replay.frames import FrameReplay
@@ -52,6 +53,8 @@ def frames(
     ``shared`` see `jaxdyna.types.Memory`.
     """
 
+    check_counts(num_frames=num_frames)
+
     def start(capacity: int, episodes: int, example: Transition, recorded: Any) -> FrameReplay:
         beside = jax.eval_shape(keep, recorded)
         return frame_replay.init(capacity, episodes, example, num_frames, beside)
@@ -81,6 +84,7 @@ def frames(
 
 def forgetting(memory: Memory, every: int) -> Memory:
     """A memory that is emptied every so many real episodes, as that of the paper's authors."""
+    check_counts(every=every)
 
     def add(held: Any, new: Transition, recorded: Any, number: jax.Array) -> Any:
         return memory.add(memory.forget(held, number % every == 0), new, recorded, number)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from jaxdyna.fields import check_counts
 from jaxdyna.types import Key, PyTree
 
 ROW = 256
@@ -47,8 +48,7 @@ def init(capacity: int, example: PyTree) -> Replay:
     Raises:
         ValueError: where ``capacity`` is not positive.
     """
-    if capacity < 1:
-        raise ValueError(f"replay capacity is {capacity}: it must be at least 1")
+    check_counts(capacity=capacity)
     data = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), example)
     return Replay(data=data, added=jnp.int32(0))
 
@@ -64,8 +64,11 @@ def add(replay: Replay, items: PyTree, mask: jax.Array) -> Replay:
     Raises:
         AssertionError: where items and mask differ in these axes, or the mask is not bool.
         TypeError: where a leaf is of another type than what is held.
-        ValueError: where more items than ``capacity`` could come at once.
+        ValueError: where more items than ``capacity`` could come at once, or others than it holds.
     """
+    if jax.tree.structure(items) != jax.tree.structure(replay.data):
+        held, given = jax.tree.structure(replay.data), jax.tree.structure(items)
+        raise ValueError(f"the replay holds {held} and is given {given}: give what its example was")
     chex.assert_type(mask, bool)
     chex.assert_tree_shape_prefix(items, mask.shape)
     if mask.size > replay.capacity:
@@ -88,11 +91,18 @@ def add(replay: Replay, items: PyTree, mask: jax.Array) -> Replay:
 
 
 def check_type(held: jax.Array, new: jax.Array) -> None:
-    """Refuses to store floats as whole numbers: frames in [0, 1] would become zeros.
+    """Refuses to store floats as whole numbers: frames in [0, 1] would become zeros; and items
+    ``new [..., *item]`` of another shape.
 
     Raises:
         TypeError: with what to change.
     """
+    item = held.shape[1:]
+    if new.shape[new.ndim - len(item) :] != item:
+        raise TypeError(
+            f"the replay holds arrays {list(item)} and is given {list(new.shape)}: let the last "
+            "axes be as its example's"
+        )
     if not jnp.can_cast(new.dtype, held.dtype, "same_kind"):
         raise TypeError(
             f"the replay holds {held.dtype} and is given {new.dtype}: let the environment return "
@@ -107,7 +117,8 @@ def sample(
     """Draws items with replacement.
 
     Args:
-        replay: a buffer; an empty one yields its zeros, so check ``size`` or mask what comes.
+        replay: a buffer; an empty one whose size is traced yields its zeros, so check ``size`` or
+            mask what comes.
         key: random key.
         shape: how many, as leading axes.
         weight: ``[capacity]``, what each item's probability is in proportion to, as `share_weight`
@@ -115,7 +126,12 @@ def sample(
 
     Returns:
         Every leaf ``[*shape, ...]``.
+
+    Raises:
+        ValueError: where it is seen to be empty.
     """
+    if not isinstance(replay.added, jax.core.Tracer) and not replay.added:
+        raise ValueError("the replay is empty: add to it before it is sampled")
     return take(replay, draw_positions(replay, key, shape, weight))
 
 
@@ -123,6 +139,8 @@ def draw_positions(
     replay: Replay, key: Key, shape: tuple[int, ...], weight: jax.Array | None = None
 ) -> jax.Array:
     """Where the items of `sample` lie, int32 ``[*shape]``."""
+    if weight is not None and weight.shape != (replay.capacity,):
+        raise ValueError(f"weight is {list(weight.shape)}: give one an item, [{replay.capacity}]")
     if weight is None:
         return jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
     return draw(weight, key, shape)
@@ -134,7 +152,11 @@ def take(replay: Replay, position: jax.Array) -> PyTree:
 
 
 def sample_distinct(replay: Replay, key: Key, count: int) -> PyTree:
-    """Draws ``count`` items, none twice; those that it holds less than that come as zeros."""
+    """Draws ``count`` items, at most the capacity, none twice; those that it holds less than that
+    come as zeros.
+    """
+    if count > replay.capacity:
+        raise ValueError(f"count is {count}: the replay holds at most {replay.capacity}")
     ticket = jnp.where(replay.held, jax.random.uniform(key, (replay.capacity,)), -1)
     best, rows = jax.lax.top_k(ticket, count)
 
@@ -171,6 +193,8 @@ def draw(weight: jax.Array, key: Key, shape: tuple[int, ...]) -> jax.Array:
     """Positions ``[*shape]`` drawn with probabilities in proportion to ``weight [capacity]``: first
     a row of them, then one in it, which saves running sums over all.
     """
+    if not isinstance(weight, jax.core.Tracer) and not (weight >= 0).all():
+        raise ValueError("a weight is negative or NaN: give numbers of at least 0")
     rows = jnp.pad(weight, (0, -weight.size % ROW)).reshape(-1, ROW)
     sums = rows.sum(1)
     ends = jnp.cumsum(sums)
