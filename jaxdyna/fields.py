@@ -230,7 +230,7 @@ def config_of(config: Any, kind: Callable[[], T]) -> T:
 def why(error: Exception) -> str:
     """What an error says, in one line."""
     lines = str(error).split("\n")
-    return f"{type(error).__name__}, {lines[0] or 'no more'}"
+    return f"{type(error).__name__} {lines[0]}"
 
 
 def check_counts(at_least: int = 1, **named: Any) -> None:
@@ -244,17 +244,20 @@ def check_counts(at_least: int = 1, **named: Any) -> None:
             raise SettingError(name, f"is {value}: it must be a whole number, at least {at_least}")
 
 
+_SHAPES = {1: "(n,) of a vector", 3: "(height, width, channels) of a frame"}
+
+
 def check_shape(*ranks: int, **named: Any) -> None:
-    """Checks arguments of a function, by name: shapes of so many axes; without ``ranks`` of any.
+    """Checks arguments of a function, by name: shapes of 1 or 3 axes; without ``ranks`` of any.
 
     Raises:
         SettingError: naming the first that is none.
     """
+    kinds = " or ".join(_SHAPES[rank] for rank in ranks) or "a tuple"
     for name, value in named.items():
         shape = isinstance(value, tuple | list) and all(_counts(size, 1) for size in value)
         if not shape or (ranks and len(value) not in ranks):
-            axes = f" of {' or '.join(map(str, ranks))}" if ranks else ""
-            raise SettingError(name, f"is {value}: give a tuple{axes} whole numbers, at least 1")
+            raise SettingError(name, f"is {value}: give {kinds}, whole numbers of at least 1")
 
 
 def _counts(value: Any, at_least: int) -> bool:

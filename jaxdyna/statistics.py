@@ -44,7 +44,7 @@ class SolveRule:
         """Of every episode, ``[seeds, episodes]``: its return, or how far it is above its share."""
         for name in {"real_return", self.share_of or "real_return"} - set(curves):
             raise ValueError(
-                f"there is no curve {name}, only {', '.join(curves) or 'none'}: add it"
+                f"there is no curve {name}, among {', '.join(curves) or 'none'}: add it"
             )
         returns = np.asarray(curves["real_return"], np.float64)
         return (

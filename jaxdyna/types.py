@@ -28,8 +28,7 @@ def check_key(key: Any, rank: int = 0) -> None:
     if not typed or key.ndim != rank:
         what = f"{key.dtype}{list(key.shape)}" if hasattr(key, "shape") else f"{key!r}"
         make = "jax.random.split(jax.random.key(0), seeds)" if rank else "jax.random.key(0)"
-        names = "keys are" if rank else "key is"
-        raise ValueError(f"{names} {what}: give {'typed ones' if rank else 'one'} by {make}")
+        raise ValueError(f"{'keys are' if rank else 'key is'} {what}: make typed ones by {make}")
 
 
 def check_part(name: str, part: Any, *functions: str) -> None:

@@ -117,7 +117,7 @@ def test_who_does_nothing_loses_a_whole_game(env):
 
 
 def test_the_emulators_own_limit_is_no_end_of_the_game(env, monkeypatch):
-    """Of 20 frames here, one of doing nothing among them, where that of the literature is 108,000."""
+    """Of 20 frames here, the one of doing nothing among them; the literature's is of 108,000."""
     few = {"repeat_action_probability": 0.0, "max_num_frames_per_episode": 20}
 
     def emulator(game):

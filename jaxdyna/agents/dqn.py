@@ -78,7 +78,7 @@ def dqn(
     Raises:
         ValueError: where an observation is neither, or the network does not take it to the values.
     """
-    check_shape(1, 3, frame_shape=frame_shape)
+    check_shape(3, 1, frame_shape=frame_shape)
     config, pictures = config_of(config, DQNConfig), len(frame_shape) == 3
     num_frames = (4 if pictures else 1) if num_frames is None else num_frames
     check_counts(num_actions=num_actions, num_frames=num_frames)

@@ -40,7 +40,9 @@ def check_parts(dyna: Dyna, config: DynaConfig) -> None:
     for name, part in (("agent", dyna.agent), ("model", dyna.model), ("dream", dream)):
         own = getattr(part, "num_actions", None)
         if own not in (None, count):
-            raise ValueError(f"the {name} has {own} actions and {world} {count}: give it {count}")
+            raise ValueError(
+                f"the {name} has {own} actions and {world} {count}: make it for {count}"
+            )
 
 
 def check_hparams(dyna: Dyna, config: DynaConfig, hparams: DynaHParams) -> None:

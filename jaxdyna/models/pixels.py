@@ -236,7 +236,7 @@ def _check_shape(
     check_shape(3, frame_shape=frame_shape)
     check_counts(num_actions=num_actions, num_frames=num_frames)
     stack, frame = (2, *frame_shape[:2], frame_shape[2] * num_frames), (2, *frame_shape)
-    shape = output_shapes(module, stack, (2, num_actions), frame, True)[0].shape[1:]
+    shape = output_shapes(module, stack, (2, num_actions), frame, False)[0].shape[1:]
     if shape != tuple(frame_shape):
         raise ValueError(
             f"{type(module.network).__name__} predicts pictures of shape {shape} for frames "

@@ -42,7 +42,7 @@ def output_shapes(network: Any, *inputs: Any) -> Any:
 
     def made(key: jax.Array) -> Any:
         given = [jnp.zeros(x) if isinstance(x, tuple) else x for x in inputs]
-        return network.init_with_output(key, *given)[0]
+        return network.apply(network.init(key, *given), *given)
 
     try:
         return jax.eval_shape(made, jax.random.key(0))
@@ -50,7 +50,7 @@ def output_shapes(network: Any, *inputs: Any) -> Any:
         name, shapes = type(network).__name__, ", ".join(map(str, inputs))
         raise ValueError(
             f"the network {name} does not take inputs {shapes}, "
-            f"give one whose kernels fit into them: {why(error)}"
+            f"give one that does, with kernels that fit into them: {why(error)}"
         ) from error
 
 

@@ -191,17 +191,22 @@ def share_weight(held: jax.Array, marked: jax.Array, share: jax.Array | float) -
 
 def draw(weight: jax.Array, key: Key, shape: tuple[int, ...]) -> jax.Array:
     """Positions ``[*shape]`` drawn with probabilities in proportion to ``weight [capacity]``: first
-    a row of them, then one in it, which saves running sums over all.
+    a row of them, then one in it, which saves running sums over all. In a row so unlikely that it
+    has fewer of the 2^23 heights than items, the random number's other bits decide between these.
     """
     if not isinstance(weight, jax.core.Tracer) and not (weight >= 0).all():
         raise ValueError("a weight is negative or NaN: give numbers of at least 0")
     rows = jnp.pad(weight, (0, -weight.size % ROW)).reshape(-1, ROW)
     sums = rows.sum(1)
     ends = jnp.cumsum(sums)
-    height = jax.random.uniform(key, shape).reshape(-1) * ends[-1]
+    bits = jax.random.bits(key, shape, jnp.uint32).reshape(-1)
+    height = (bits >> 9) * jnp.float32(2**-23) * ends[-1]  # as jax.random.uniform
+    finer = (bits & 511) * jnp.float32(2**-32) * ends[-1]
     row = jnp.minimum(jnp.searchsorted(ends, height, side="right"), _last(sums > 0))
     within = jnp.maximum(height - (ends - sums)[row], 0.0)  # rounding
     chosen = rows[row]
+    coarse = sums[row] < (chosen > 0).sum(-1) * jnp.float32(2**-23) * ends[-1]
+    within = jnp.where(coarse, within + finer, within)
     column = (jnp.cumsum(chosen, -1) <= within[:, None]).sum(-1)
     column = jnp.minimum(column, _last(chosen > 0))
     return jnp.minimum(row * ROW + column, weight.size - 1).reshape(shape)
