@@ -173,13 +173,11 @@ def _wanted_instead(leaf: Leaf) -> str | None:
     kinds = _union(leaf.hint)
     numbers: list[Any] = [part for part in parts if isinstance(part, int | float | np.number)]
     if {int, float} & set(kinds):
-        numbers += [end for part in parts for end in _ends(part)]
+        numbers += [end for part in parts if _known(part) for end in (part.min(), part.max())]
     words = [part for part in parts if isinstance(part, str)]
     if leaf.choices and any(word not in leaf.choices.values() for word in words):
         return f"be one of {', '.join(leaf.choices)}"
-    is_class = isinstance(leaf.value, type) and all(
-        get_origin(kind) is not Callable for kind in kinds
-    )
+    is_class = isinstance(leaf.value, type) and all(get_origin(k) is not Callable for k in kinds)
     if is_class or not _fits(leaf.value, leaf.hint):
         return f"be {'one made by that class' if is_class else _describe(leaf.hint)}"
     if not parts and not leaf.empty:
@@ -192,72 +190,38 @@ def _wanted_instead(leaf: Leaf) -> str | None:
     return None
 
 
-def _ends(value: Any) -> list[Any]:
-    """The least and the greatest number of an array, NaN where there is any."""
-    concrete = isinstance(value, np.ndarray | jax.Array) and not isinstance(value, jax.core.Tracer)
-    if not concrete or not np.issubdtype(value.dtype, np.number) or not value.size:
-        return []
-    return [np.asarray(value).min(), np.asarray(value).max()]
+def _known(value: Any) -> bool:
+    """Whether it is an array of numbers that are not traced."""
+    array = isinstance(value, np.ndarray | jax.Array) and not isinstance(value, jax.core.Tracer)
+    return array and np.issubdtype(value.dtype, np.number) and value.size > 0
 
 
-def check_like(name: str, given: Any, like: Any) -> None:
-    """Checks an argument that is to have the fields of such settings.
-
-    Raises:
-        SettingError: where one is lacking, or a value cannot be.
+def check_kind(name: str, given: Any, kinds: Any) -> None:
+    """Raises `SettingError` where an argument is of no such class (or of none of a tuple of them;
+    None: of any), or a setting in it cannot be.
     """
-    lacking = [
-        field for field in getattr(like, "__dataclass_fields__", ()) if not hasattr(given, field)
-    ]
-    if lacking:
-        said = f"is a {type(given).__name__}, without {lacking[0]}: give a {type(like).__name__}"
-        raise SettingError(name, said)
+    kinds = kinds if isinstance(kinds, tuple) else () if kinds is None else (kinds,)
+    if kinds and not isinstance(given, kinds):
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise SettingError(name, f"is a {type(given).__name__}: give a {names}")
     if _is_settings(given):
         check(given, f"{name}.")
 
 
-def config_of(config: Any, kind: Callable[[], T]) -> T:
-    """The argument ``config`` of a function, by default ``kind()``.
-
-    Raises:
-        SettingError: where it is of another kind.
-    """
-    if config is not None and not isinstance(config, kind):  # type: ignore[arg-type]
-        raise SettingError("config", f"is a {type(config).__name__}: give a {_name(kind)}")
-    return kind() if config is None else config
-
-
-def why(error: Exception) -> str:
-    """What an error says, in one line."""
-    lines = str(error).split("\n")
-    return f"{type(error).__name__} {lines[0]}"
-
-
 def check_counts(at_least: int = 1, **named: Any) -> None:
-    """Checks arguments of a function, by name: whole numbers of at least so much.
-
-    Raises:
-        SettingError: naming the first that is none.
-    """
+    """Raises `SettingError` where an argument is no whole number, or less than that."""
     for name, value in named.items():
         if not _counts(value, at_least):
             raise SettingError(name, f"is {value}: it must be a whole number, at least {at_least}")
 
 
-_SHAPES = {1: "(n,) of a vector", 3: "(height, width, channels) of a frame"}
-
-
 def check_shape(*ranks: int, **named: Any) -> None:
-    """Checks arguments of a function, by name: shapes of 1 or 3 axes; without ``ranks`` of any.
-
-    Raises:
-        SettingError: naming the first that is none.
-    """
-    kinds = " or ".join(_SHAPES[rank] for rank in ranks) or "a tuple"
+    """Raises `SettingError` where an argument is no shape, or not of so many axes."""
     for name, value in named.items():
         shape = isinstance(value, tuple | list) and all(_counts(size, 1) for size in value)
         if not shape or (ranks and len(value) not in ranks):
-            raise SettingError(name, f"is {value}: give {kinds}, whole numbers of at least 1")
+            of = "".join(f" of {rank}," for rank in ranks)
+            raise SettingError(name, f"is {value}: give a tuple{of} whole numbers, at least 1")
 
 
 def _counts(value: Any, at_least: int) -> bool:

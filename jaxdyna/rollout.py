@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.fields import check_counts, check_like
+from jaxdyna.fields import check_counts, check_kind
 from jaxdyna.types import Environment, Key, Transition, check_key, check_part, check_transitions
 
 Record = Callable[[Any, Any, dict[str, Any]], Any]
@@ -49,13 +49,12 @@ def rollout(
     Raises:
         AssertionError: where actions are no integers.
         ValueError: where an argument cannot be, T is left open under a traced ``max_steps``, an
-            action or a step's reward is no scalar, or an action none of the environment's, as far
-            as that is seen before anything is traced.
+            action or a step's reward is no scalar, or, untraced, an action is out of range.
     """
-    check_part("env", env, "reset", "step")
+    check_part("env", env, "reset", "step", "default_params", "num_actions")
     check_part("act", act, "__call__")
     check_key(key)
-    check_like("env_params", env_params, getattr(env, "default_params", None))
+    check_kind("env_params", env_params, type(env.default_params))
     if num_steps is None:
         num_steps = _concrete_max_steps(env_params)
     check_counts(num_episodes=num_episodes, num_steps=num_steps)
@@ -65,9 +64,7 @@ def rollout(
         key, key_act, key_step = jax.random.split(key, 3)
         action = act(obs, key_act, state) if sees_state else act(obs, key_act)
         if jnp.shape(action):
-            raise ValueError(
-                f"act returns an array {jnp.shape(action)}: make it one action, a scalar"
-            )
+            raise ValueError(f"act returns an array {jnp.shape(action)}: make it a scalar")
         next_obs, next_state, reward, terminated, truncated, info = env.step(
             key_step, state, action, env_params
         )
@@ -102,14 +99,10 @@ def rollout(
 
     played, recorded = jax.vmap(episode)(jax.random.split(key, num_episodes))
     check_transitions(played, 2)
-    count = getattr(env, "num_actions", None)
-    if count is not None and not isinstance(played.action, jax.core.Tracer):
-        outside = played.action[(played.action < 0) | (played.action >= count)]
-        if outside.size:
-            raise ValueError(
-                f"act chose {outside[0]}, but {type(env).__name__} has {count} actions: choose "
-                f"from 0 to {count - 1}"
-            )
+    if not isinstance(played.action, jax.core.Tracer):
+        least, most, count = played.action.min(), played.action.max(), env.num_actions
+        if least < 0 or most >= count:
+            raise ValueError(f"actions are {least} to {most}: keep them within 0 to {count - 1}")
     return (played, recorded) if record else played
 
 

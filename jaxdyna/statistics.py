@@ -42,10 +42,6 @@ class SolveRule:
 
     def score(self, curves: Mapping[str, np.ndarray]) -> np.ndarray:
         """Of every episode, ``[seeds, episodes]``: its return, or how far it is above its share."""
-        for name in {"real_return", self.share_of or "real_return"} - set(curves):
-            raise ValueError(
-                f"there is no curve {name}, among {', '.join(curves) or 'none'}: add it"
-            )
         returns = np.asarray(curves["real_return"], np.float64)
         return (
             returns if self.share_of is None else returns - self.threshold * curves[self.share_of]
@@ -89,9 +85,8 @@ def running_mean(values: np.ndarray, window: int) -> np.ndarray:
     starts = np.maximum(ends - window, 0)
 
     def sums(parts: np.ndarray) -> np.ndarray:
-        padded = np.concatenate(
-            [np.zeros((*parts.shape[:-1], 1)), parts.cumsum(-1, np.float64)], -1
-        )
+        zeros = np.zeros((*parts.shape[:-1], 1))
+        padded = np.concatenate([zeros, parts.cumsum(-1, np.float64)], -1)
         return padded[..., ends] - padded[..., starts]
 
     finite = np.isfinite(values)
@@ -129,7 +124,7 @@ def summarise(
     """What the seeds say together, ready for JSON (None for infinity).
 
     Args:
-        per_seed: ``[seeds]``; infinity where unsolved.
+        per_seed: ``[seeds]``, one at least; infinity where unsolved.
         solved: bool ``[seeds]``, by default where ``per_seed`` is finite.
         at_least: lower bound of an unsolved seed's value, such as the budget, a scalar or
             ``[seeds]``.
@@ -139,12 +134,10 @@ def summarise(
         or fewer, and for seeds that are all alike; ``median_ci95`` (exact, by ranks); ``solved``
         and ``seeds`` (counts); ``budget`` (the largest bound) and ``restricted_mean``, the mean
         with unsolved seeds at their bound, both None without ``at_least``.
-
-    Raises:
-        ValueError: where there are no seeds, as of every function here.
     """
     per_seed = np.asarray(per_seed, np.float64)
-    _check_runs(per_seed=per_seed)
+    if per_seed.ndim != 1 or not per_seed.size:
+        raise ValueError(f"per_seed is {list(per_seed.shape)}: give [seeds], a number a run")
     solved = np.isfinite(per_seed) if solved is None else solved
     budget = restricted = None
     if at_least is not None:
@@ -229,7 +222,6 @@ def ratio_of_means(
         unsolved seed in the numerator, or one without a bound, leaves nothing known, and no
         interval of five seeds or fewer.
     """
-    _check_runs(numerator=numerator, denominator=denominator)
     bound = not np.isfinite(denominator).all()
     denominator = np.where(np.isfinite(denominator), denominator, denominator_at_least)
     if not (np.isfinite(numerator).all() and np.isfinite(denominator).all()):
@@ -254,10 +246,6 @@ def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float,
     bootstrap interval over seeds.
     """
 
-    if np.shape(left) != np.shape(right) or np.ndim(left) != 2:
-        shapes = f"{np.shape(left)} and {np.shape(right)}"
-        raise ValueError(f"tables of shapes {shapes}: give two of the same [settings, seeds]")
-
     def correlate(draws):
         ranks = [rankdata(values[:, draws].mean(-1), axis=0) for values in (left, right)]
         one, other = (each - each.mean(0) for each in ranks)
@@ -268,15 +256,6 @@ def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float,
     draws = np.random.default_rng(0).integers(0, seeds, (2000, seeds))
     low, high = np.percentile(correlate(draws), [2.5, 97.5])
     return float(correlate(np.arange(seeds)[None])[0]), float(low), float(high)
-
-
-def _check_runs(**named: np.ndarray) -> None:
-    for name, values in named.items():
-        if np.ndim(values) != 1 or not np.size(values):
-            shape = list(np.shape(values))
-            raise ValueError(
-                f"{name} is an array {shape}: give one number a run, [seeds], of one or more"
-            )
 
 
 def _row_means(values: np.ndarray) -> np.ndarray:

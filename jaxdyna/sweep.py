@@ -43,8 +43,7 @@ def sweep(
         nothing is swept).
 
     Raises:
-        ValueError: where there are no seeds or settings, the swept leaves differ in length, or
-            ``train`` refuses the hyper-parameters (its ``check``, see `jaxdyna.dyna.make_train`).
+        ValueError: where the swept leaves differ in length, or another argument cannot be.
     """
     check_key(keys, 1)
     check_counts(keys=len(keys), block=1 if block is None else block)
@@ -123,7 +122,7 @@ def num_settings(hparams: Any) -> int:
     Raises:
         ValueError: where the swept leaves differ in length, or have none or further axes.
     """
-    shapes = [jnp.shape(leaf) for leaf in jax.tree.leaves(hparams) if jnp.ndim(leaf) > 0]
+    shapes = {jnp.shape(leaf) for leaf in jax.tree.leaves(hparams) if jnp.ndim(leaf) > 0}
     for shape in shapes:
         if len(shape) > 1 or 0 in shape:
             raise ValueError(f"a swept hyper-parameter is {list(shape)}: give one value a setting")

@@ -12,14 +12,7 @@ import numpy as np
 
 from jaxdyna.planners import Guide, Planner
 from jaxdyna.trees import difference, is_key, named_leaves, stack
-from jaxdyna.types import (
-    Agent,
-    DynamicsModel,
-    Environment,
-    Transition,
-    check_part,
-    check_transitions,
-)
+from jaxdyna.types import Agent, DynamicsModel, Environment, Transition, check_part
 
 ROWS, STEPS = 4, 50
 """Calls that are compared with one another, and steps of an episode at the most."""
@@ -31,6 +24,7 @@ ERRORS: dict[type[Exception], str] = {
 }
 """What errors of JAX mean, the first that fits."""
 PADDING = "depends on the padding, masked steps after the end: divide by the sum of the mask"
+EPISODES = "transitions have not the axes of episodes: give those of a rollout, [N, T]"
 AXES = "depends on how many leading axes transitions have: flatten as many as the mask has"
 
 
@@ -93,7 +87,7 @@ def check_agent(agent: Agent, hparams: Any, transitions: Transition, num_actions
         num_actions: of the world.
     """
     check_part("agent", agent, "init", "act", "update")
-    _check_episodes(transitions)
+    _demand(np.ndim(transitions.mask) == 2, EPISODES)
     state = _Pure("init", agent.init)(_keys(0)[0], hparams)
     obs = np.asarray(transitions.obs)[0]
     for name in ("act", "act_fake"):
@@ -115,7 +109,7 @@ def check_model(model: DynamicsModel, hparams: Any, transitions: Transition) -> 
         transitions: a few whole episodes ``[N, T]``, with T of at least 2.
     """
     check_part("model", model, "init", "predict", "update")
-    _check_episodes(transitions)
+    _demand(np.ndim(transitions.mask) == 2, EPISODES)
     state = _Pure("init", model.init)(_keys(0)[0], hparams)
     _demand(hasattr(state, "params"), "init's state has no params: call what predict takes so")
     obs, action = np.asarray(transitions.obs)[0], np.asarray(transitions.action)[0]
@@ -282,13 +276,6 @@ def _check_update(
         alone = _Pure(name, update)(new, other, key, hparams)
         _demand(not _far(alone, some), f"{name} {form}")
         raise ContractError(f"{name} differs under vmap: compute along a run's own axes")
-
-
-def _check_episodes(transitions: Transition) -> None:
-    shape = np.shape(transitions.mask)
-    wrong = f"transitions are {list(shape)}: give episodes [N, T], of at least 2 steps"
-    _demand(len(shape) == 2 and shape[1] > 1, wrong)
-    check_transitions(transitions, 2)
 
 
 def _learned(state: Any) -> np.ndarray:

@@ -19,11 +19,7 @@ PyTree = Any
 
 
 def check_key(key: Any, rank: int = 0) -> None:
-    """Refuses what is no typed key, or with a rank of 1 no array of them.
-
-    Raises:
-        ValueError: with how to make one.
-    """
+    """Raises `ValueError` for what is no typed key, or with a rank of 1 no array of them."""
     typed = jax.dtypes.issubdtype(getattr(key, "dtype", None), jax.dtypes.prng_key)
     if not typed or key.ndim != rank:
         what = f"{key.dtype}{list(key.shape)}" if hasattr(key, "shape") else f"{key!r}"
@@ -32,18 +28,12 @@ def check_key(key: Any, rank: int = 0) -> None:
 
 
 def check_part(name: str, part: Any, *functions: str) -> None:
-    """Refuses what has not the functions of such a part.
-
-    Raises:
-        ValueError: naming what is given instead.
-    """
-    if isinstance(part, type):
-        kind = part.__name__
-        raise ValueError(f"{name} is the class {kind}: give one of its kind, {kind}(...)")
-    for function in functions:
-        if not hasattr(part, function):
-            lacks = "cannot be called" if function == "__call__" else f"has no {function}"
-            raise ValueError(f"{name} is a {type(part).__name__}, which {lacks}: give another one")
+    """Raises `ValueError` for what has not the functions of such a part."""
+    if isinstance(part, type) or not all(hasattr(part, function) for function in functions):
+        kind = (
+            f"the class {part.__name__}" if isinstance(part, type) else f"a {type(part).__name__}"
+        )
+        raise ValueError(f"{name} is {kind}: give one that has {', '.join(functions)}")
 
 
 class Transition(NamedTuple):

@@ -50,7 +50,6 @@ from jaxdyna.models import (
     supervised,
     uniform_start,
 )
-from jaxdyna.models.evaluation import r_squared
 from jaxdyna.networks import (
     MLP,
     Convolution,
@@ -68,13 +67,7 @@ from jaxdyna.networks import (
     to_patches,
 )
 from jaxdyna.networks.convolution import convolve
-from jaxdyna.planners import (
-    CrossEntropyConfig,
-    SearchConfig,
-    ShootingConfig,
-    rollout_value,
-    solve_maze,
-)
+from jaxdyna.planners import CrossEntropyConfig, SearchConfig, ShootingConfig, rollout_value
 from jaxdyna.replay import frames as frame_replay
 from jaxdyna.replay import memory, ring
 from jaxdyna.statistics import SolveRule
@@ -193,7 +186,6 @@ BAD = {
     "Replayed of a class": (lambda: Replayed(Maze, lambda key, start: start), "env"),
     "Replayed without a function": (lambda: Replayed(ENV, None), "draw"),
     "LearnedEnvironment without functions": (lambda: replace(LEARNED, predict=None), "predict"),
-    "LearnedEnvironment of a model": (lambda: replace(LEARNED, predict=MODEL), "predict"),
     "LearnedEnvironment of a class": (lambda: replace(LEARNED, real=CartPole), "real"),
     "uniform_start(1, -1)": (lambda: uniform_start(1, -1), "low"),
     "uniform_start(0, nan)": (lambda: uniform_start(0, math.nan), "high"),
@@ -213,12 +205,12 @@ BAD = {
     "rollout of a class": (lambda: play(CartPole), "CartPole"),
     "rollout with an agent for act": (lambda: play(act=AGENT), "act"),
     "rollout with an action of floats": (lambda: play(act=lambda obs, key: 0.5), "type"),
-    "rollout with an action out of range": (lambda: play(act=lambda obs, key: 7), "2 actions"),
-    "rollout with a negative action": (lambda: play(act=lambda obs, key: -1), "2 actions"),
+    "rollout with an action out of range": (lambda: play(act=lambda obs, key: 7), "within 0 to 1"),
+    "rollout with a negative action": (lambda: play(act=lambda obs, key: -1), "within 0 to 1"),
     "rollout with an action drawn out of range": (
-        lambda: play(act=lambda obs, key: jax.random.randint(key, (), 3, 5)), "2 actions"),
+        lambda: play(act=lambda obs, key: jax.random.randint(key, (), 3, 5)), "within 0 to 1"),
     "rollout with several actions": (
-        lambda: play(act=lambda obs, key: jnp.zeros(3, int)), "action"),
+        lambda: play(act=lambda obs, key: jnp.zeros(3, int)), "scalar"),
     # sweep
     "sweep of no settings": (lambda: sweep(grown, keys(), jnp.zeros(0)), "setting"),
     "sweep of no keys": (lambda: sweep(grown, keys()[:0], 1.0), "keys"),
@@ -283,13 +275,11 @@ BAD = {
         lambda: begin(DYNA, key=lambda: jax.random.PRNGKey(0)), "jax.random.key"),
     "an environment for the agent": (lambda: make_train(DYNA._replace(agent=ENV), SMALL), "agent"),
     "a class for the environment": (lambda: make_train(DYNA._replace(env=CartPole), SMALL), "env"),
-    "a config for the parts": (lambda: make_train(SMALL, DYNA), "Dyna"),
     # agents and models
     "reinforce of no actions": (lambda: reinforce((4,), 0), "num_actions"),
     "reinforce of half an action": (lambda: reinforce((4,), 2.5), "num_actions"),
     "reinforce of a number": (lambda: reinforce(4, 2), "obs_shape"),
     "reinforce of nothing": (lambda: reinforce((0,), 2), "obs_shape"),
-    "reinforce by DQN's config": (lambda: reinforce((4,), 2, DQNConfig()), "ReinforceConfig"),
     "policy_logits of no actions": (lambda: policy_logits(0, ReinforceConfig()), "num_actions"),
     "dqn of no actions": (lambda: dqn(FRAME, 0), "num_actions"),
     "dqn of True actions": (lambda: dqn(FRAME, True), "num_actions"),
@@ -298,17 +288,17 @@ BAD = {
     "dqn of a number": (lambda: dqn(4, 2), "frame_shape"),
     "dqn of no frames": (lambda: dqn(FRAME, 2, num_frames=0), "num_frames"),
     "dqn with a network of other actions": (
-        lambda: dqn(FRAME, 2, DQNConfig(network=GlimpseQ(5))), "network.* 5"),
+        lambda: dqn(FRAME, 2, DQNConfig(network=GlimpseQ(5))), "network.* 2 values"),
     "dqn with a network of vectors": (
         lambda: dqn((8,), 2, DQNConfig(network=GlimpseQ(2))), "network"),
-    "dqn with a number for a network": (lambda: dqn(FRAME, 2, DQNConfig(network=5)), "network int"),
+    "dqn with a glimpse of no middle": (
+        lambda: dqn(FRAME, 2, DQNConfig(network=GlimpseQ(2, size=4))), "odd"),
+    "dqn with a number for a network": (lambda: dqn(FRAME, 2, DQNConfig(network=5)), "network"),
     "dqn with a name for a network": (
-        lambda: dqn(FRAME, 2, DQNConfig(network="glimpse")), "network str"),
-    "pixels without a network": (lambda: pixels(FRAME, 2, PixelConfig(network=None)), "network"),
+        lambda: dqn(FRAME, 2, DQNConfig(network="glimpse")), "network"),
+    "pixels without a network": (lambda: pixels(FRAME, 2, PixelConfig(network=None)), "NoneType"),
     "pixels with a name for a head": (
-        lambda: pixels(FRAME, 2, PixelConfig(reward="local")), "network"),
-    "dqn with fewer transitions than frames": (
-        lambda: dqn(FRAME, 2, DQNConfig(capacity=2)), "capacity"),
+        lambda: pixels(FRAME, 2, PixelConfig(reward="local")), "pictures"),
     "cloning without an agent": (lambda: cloning(None, None, None, CloningConfig()), "agent"),
     "supervised of no variables": (lambda: supervised(0, 2), "obs_size"),
     "supervised of a shape": (lambda: supervised((4,), 2), "obs_size"),
@@ -323,23 +313,21 @@ BAD = {
     "rectangles of no actions": (lambda: rectangles(FRAME, 0, RectangleConfig()), "num_actions"),
     "rectangles of other channels": (lambda: rectangles((8, 8, 2), 2, RectangleConfig()), "groups"),
     "discriminator of a 2-d frame": (lambda: discriminator((8, 8)), "frame_shape"),
-    "discriminator of an odd frame": (lambda: discriminator((9, 9, 3)), "patches|strides"),
-    "r_squared of anything": (lambda: r_squared({}, "speed"), "kind"),
     # networks
     **{
         f"{network.__name__}({given})": (partial(network, *given), word)
         for network, given, word in (
             (MLP, ((),), "features"), (MLP, ((0,),), "features"), (MLP, (8,), "features"),
-            (Convolution, (0, 3, 1), "features"), (Convolution, (8, 3, 3), "padding"),
-            (Convolution, (8, 3, -1), "padding"), (ConvolutionalQ, (0,), "num_actions"),
+            (Convolution, (0, 3, 1), "features"), (Convolution, (8, 3, -1), "padding"),
+            (ConvolutionalQ, (0,), "num_actions"),
             (ConvolutionalQ, (2, ()), "widths"), (ConvolutionalQ, (2, (8, 0, 8)), "widths"),
             (GlimpseQ, (2.5,), "num_actions"), (GlimpseQ, (2, 0), "heads"),
-            (GlimpseQ, (2, 3, 4), "size"),
+            
             (PerceptronQ, (0,), "num_actions"), (PerceptronQ, (2, (8, -1)), "hidden"),
             (FeaturePointQ, (2, 0), "channels"), (LocalDynamics, (0,), "channels"),
             (LocalDynamics, (3, (0,)), "widths"), (LocalReward, (0,), "width"),
-            (EncoderDecoder, (3, (8,), (3, 3)), "kernels"), (EncoderDecoder, (3, ()), "widths"),
-            (Discriminator, ((4,), (8, 8)), "widths"), (Discriminator, ((0,), (8,)), "strides"),
+            (EncoderDecoder, (3, ()), "widths"),
+            (Discriminator, ((0,), (8,)), "strides"),
             (Patched, (LocalDynamics(3), 0), "size"),
         )
     },
@@ -360,36 +348,22 @@ BAD = {
         lambda: ring.add(RING, jnp.zeros((1, 4)), jnp.ones(1)), "type"),
     "ring given another shape": (
         lambda: ring.add(RING, jnp.zeros((1, 3)), ONE), "example"),
-    "ring given another structure": (
-        lambda: ring.add(RING, (jnp.zeros((1, 4)),) * 2, ONE), "holds"),
     "ring given floats for bytes": (
         lambda: ring.add(BYTES, jnp.zeros((1, 4)), ONE), "bytes"),
     "sample of an empty ring": (
         lambda: ring.sample(RING, key(), (2,)), "empty"),
-    "sample_distinct of more than the capacity": (
-        lambda: ring.sample_distinct(RING, key(), 3), "count"),
     "draw of weights of another length": (
         lambda: ring.draw_positions(RING, key(), (), jnp.ones(3)), "weight is"),
-    "draw of a NaN weight": (lambda: ring.draw(jnp.array([1, jnp.nan]), key(), ()), "weight"),
-    "draw of a negative weight": (lambda: ring.draw(jnp.array([1.0, -1.0]), key(), ()), "weight"),
     "frames of no episodes": (lambda: frame_replay.init(8, 0, EXAMPLE), "episode"),
     "frames of less than a stack": (lambda: frame_replay.init(3, 2, EXAMPLE), "stack"),
     "frames that do not divide": (lambda: frame_replay.init(8, 2, EXAMPLE, 5), "channels"),
     "frames of half a capacity": (lambda: frame_replay.init(8.5, 2, EXAMPLE), "capacity"),
     "forgetting every 0 episodes": (lambda: memory.forgetting(memory.transitions(), 0), "every"),
-    "frames of a memory of no frames": (lambda: memory.frames(lambda rest: rest, 0), "num_frames"),
     # statistics
     "summarise([])": (lambda: statistics.summarise([]), "run"),
     "summarise of a table": (lambda: statistics.summarise(CURVE), "seeds"),
-    "a score without its curve": (
-        lambda: SolveRule(2, 0.9, "best").score({"real_return": CURVE}), "best"),
-    "a score without returns": (lambda: RULE.score({}), "real_return"),
     "running_mean of no window": (lambda: statistics.running_mean(CURVE, 0), "window"),
     "last_mean of half a window": (lambda: statistics.last_mean(CURVE, 1.5), "window"),
-    "ratio_of_means([], [])": (
-        lambda: statistics.ratio_of_means(np.array([]), np.array([])), "run"),
-    "rank_correlation of unequal tables": (
-        lambda: statistics.rank_correlation(CURVE, CURVE[:1]), "shape"),
     # losses
     "discounted_returns of episodes": (
         lambda: losses.discounted_returns(jnp.zeros((2, 3)), 0.9), "rank"),
@@ -405,7 +379,6 @@ BAD = {
     "discern of unequal batches": (lambda: losses.discern(jnp.zeros(2), jnp.zeros(3)), "shape"),
     # planners
     "rollout_value of no steps": (lambda: rollout_value(ENV, PARAMS, 0), "num_steps"),
-    "solve_maze of no steps": (lambda: solve_maze(Maze(4), None, MazeParams(), 0), "num_steps"),
     # settings by name
     "changed by a wrong name": (lambda: fields.changed(SMALL, {"num_episode": 3}), "num_episodes"),
     "changed to a wrong value": (
@@ -417,11 +390,11 @@ BAD = {
     # testing
     "check_environment of a class": (lambda: testing.check_environment(CartPole), "CartPole"),
     "check_agent of an environment": (
-        lambda: testing.check_agent(ENV, None, EXAMPLE, 2), "CartPole.* no init"),
+        lambda: testing.check_agent(ENV, None, EXAMPLE, 2), "CartPole.* init"),
     "check_agent on no episodes": (
         lambda: testing.check_agent(AGENT, ReinforceHParams(), EXAMPLE, 2), "episodes"),
     "check_model of an agent": (
-        lambda: testing.check_model(AGENT, None, EXAMPLE), "Agent.* no predict"),
+        lambda: testing.check_model(AGENT, None, EXAMPLE), "Agent.* predict"),
     "check_model on no episodes": (
         lambda: testing.check_model(MODEL, SupervisedHParams(), EXAMPLE), "episodes"),
     "check_planner of nothing": (lambda: testing.check_planner(None, ENV, PARAMS), "planner"),

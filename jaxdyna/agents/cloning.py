@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, config_of, setting
+from jaxdyna.fields import check, setting
 from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.replay import ring
 from jaxdyna.replay.ring import Replay
@@ -124,7 +124,6 @@ def cloning(
         An `Agent` with the hparams of ``agent``.
     """
     check_part("agent", agent, "init", "act", "update")
-    config = config_of(config, CloningConfig)
 
     def init(key: Key, hparams: Any) -> CloningState:
         own = agent.init(key, hparams)

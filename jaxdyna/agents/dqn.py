@@ -16,9 +16,9 @@ from flax import struct
 from jaxdyna.agents import exploration
 from jaxdyna.agents.dqn_settings import DQNConfig, DQNHParams
 from jaxdyna.agents.exploration import Exploration
-from jaxdyna.fields import SettingError, check_counts, check_shape, config_of
+from jaxdyna.fields import SettingError, check_counts, check_shape
 from jaxdyna.losses import td_error
-from jaxdyna.networks import GlimpseQ, PerceptronQ, output_shapes
+from jaxdyna.networks import GlimpseQ, PerceptronQ
 from jaxdyna.replay import frames as frame_replay
 from jaxdyna.replay import prioritized
 from jaxdyna.replay.frames import FrameReplay
@@ -79,16 +79,13 @@ def dqn(
         ValueError: where an observation is neither, or the network does not take it to the values.
     """
     check_shape(3, 1, frame_shape=frame_shape)
-    config, pictures = config_of(config, DQNConfig), len(frame_shape) == 3
+    config, pictures = config or DQNConfig(), len(frame_shape) == 3
     num_frames = (4 if pictures else 1) if num_frames is None else num_frames
     check_counts(num_actions=num_actions, num_frames=num_frames)
     network = config.network or (GlimpseQ if pictures else PerceptronQ)(num_actions)
-    values, obs_shape = (
-        partial(q_values, network),
-        (*frame_shape[:-1], frame_shape[-1] * num_frames),
-    )
-    kind = jnp.uint8 if pictures else jnp.float32
-    _check_settings(config, network, obs_shape, num_actions, num_frames)
+    values, kind = partial(q_values, network), jnp.uint8 if pictures else jnp.float32
+    obs_shape = (*frame_shape[:-1], frame_shape[-1] * num_frames)
+    _check_network(network, jnp.zeros((1, *obs_shape)), num_actions)
 
     def init(key: Key, hparams: DQNHParams) -> DQNState:
         params = network.init(key, jnp.zeros((1, *obs_shape)))
@@ -174,16 +171,15 @@ def dqn(
     return Agent(init, act, update, act_fake, update_fake, None, num_actions, DQNHParams)
 
 
-def _check_settings(
-    config: DQNConfig, network: Any, obs_shape: tuple[int, ...], num_actions: int, num_frames: int
-) -> None:
-    made = output_shapes(network, (2, *obs_shape)).shape
-    if made != (2, num_actions):
-        said = f"makes {made} of 2 observations {obs_shape}: it must make (2, {num_actions})"
-        raise SettingError("network", said)
-    for name, kept in (("capacity", config.capacity), ("fake_capacity", config.fake_capacity)):
-        if kept < num_frames:
-            raise SettingError(name, f"is {kept}: keep at least a stack of {num_frames} frames")
+def _check_network(network: Any, obs: jax.Array, num_actions: int) -> None:
+    def made(key: Key) -> jax.Array:
+        return network.apply(network.init(key, obs), obs)
+
+    try:
+        chex.assert_shape(jax.eval_shape(made, jax.random.key(0)), (1, num_actions))
+    except Exception as error:
+        said = f"does not take observations {list(obs.shape)} to {num_actions} values: mend it"
+        raise SettingError("network", f"{said} ({str(error).partition(chr(10))[0]})") from error
 
 
 def real_memory(state: DQNState) -> FrameReplay:

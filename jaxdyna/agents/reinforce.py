@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, check_counts, check_shape, config_of, setting
+from jaxdyna.fields import check, check_counts, check_shape, setting
 from jaxdyna.losses import discounted_returns, policy_gradient, standardise
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
@@ -103,11 +103,10 @@ def reinforce(
     obs_shape: tuple[int, ...], num_actions: int, config: ReinforceConfig | None = None
 ) -> Agent:
     """An `Agent` whose hparams are `ReinforceHParams`; it flattens observations ``obs_shape``."""
-    config = config_of(config, ReinforceConfig)
-    check_counts(num_actions=num_actions)
+    config = config or ReinforceConfig()
     check_shape(obs_shape=obs_shape)
-    network = MLP((*config.hidden, num_actions))
     logits = policy_logits(num_actions, config)
+    network = MLP((*config.hidden, num_actions))
 
     def init(key: Key, hparams: ReinforceHParams) -> Trained:
         params = network.init(key, jnp.zeros(obs_shape, jnp.float32).reshape(-1))

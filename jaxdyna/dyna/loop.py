@@ -34,8 +34,7 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
         ``init(key, hparams) -> state``.
 
     Raises:
-        ValueError: where the parts do not fit each other (`jaxdyna.dyna.fit`); ``init`` where they
-            do not fit the hyper-parameters.
+        ValueError: where the parts do not fit each other; ``init`` likewise, and hyper-parameters.
     """
     check_parts(dyna, config)
 
@@ -136,11 +135,7 @@ def make_train(
 
     Returns:
         ``train(key, hparams) -> (state, metrics)``; metrics are ``[config.num_episodes, ...]``.
-        Its ``check(hparams)`` is what `jaxdyna.sweep` asks before they are traced, where no value
-        is seen any more.
-
-    Raises:
-        ValueError: where the parts do not fit each other, as `make_init`.
+        Its ``check(hparams)`` raises a `ValueError`: `jaxdyna.sweep` asks it before all is traced.
     """
     init, advance = make_init(dyna, config), make_advance(dyna, config, axes)
 

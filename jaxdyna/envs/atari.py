@@ -81,9 +81,7 @@ class AtariPong(Pictures):
 
     @property
     def default_params(self) -> AtariParams:
-        """Games to 21 points, cut after the 108,000 frames (half an hour) of the literature. The
-        emulator counts those of doing nothing too, and plays no more than so many.
-        """
+        """Games to 21 points, cut after the 108,000 frames (half an hour) of the literature."""
         return AtariParams(max_steps=108_000 // self.frame_skip)
 
     @property
@@ -105,7 +103,7 @@ class AtariPong(Pictures):
 
         Returns:
             ``obs, state, reward, terminated, truncated, info``: the reward is 1 for a point won and
-            -1 for one lost.
+            -1 for one lost. The emulator too cuts games off, after 108,000 frames with the first.
         """
         del key
         saved, screen, reward, over, cut = _on_host(
@@ -123,9 +121,7 @@ class AtariPong(Pictures):
 
 
 def _on_host(saved: jax.Array, action: jax.Array, frames: jax.Array) -> Any:
-    """``saved, screen, reward, over, cut`` after so many frames, the last by the emulator's own
-    limit; all zeros is a new game.
-    """
+    """``saved, screen, reward, over, cut off`` after so many frames; all zeros is a new game."""
     shapes = (
         jax.ShapeDtypeStruct((EMULATOR_BYTES,), jnp.uint8),
         jax.ShapeDtypeStruct(SCREEN, jnp.uint8),

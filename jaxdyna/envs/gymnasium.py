@@ -17,7 +17,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from jaxdyna.fields import check_counts, check_like
+from jaxdyna.fields import check_counts, check_kind
 from jaxdyna.types import Environment, check_part
 
 __all__ = ["HostEnv", "HostVectorEnv", "atari_emulator", "register", "spaces"]
@@ -212,8 +212,9 @@ class HostVectorEnv(VectorEnv):
 def _checked(env: Environment, params: Any) -> Any:
     """The params, by default the environment's."""
     check_part("env", env, "reset", "step", "default_params")
-    check_like("params", env.default_params if params is None else params, env.default_params)
-    return env.default_params if params is None else params
+    params = env.default_params if params is None else params
+    check_kind("params", params, type(env.default_params))
+    return params
 
 
 def _check_render_mode(env: Environment, render_mode: str | None) -> str | None:

@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, check_shape, config_of, setting
+from jaxdyna.fields import check, check_shape, setting
 from jaxdyna.losses import deceive, discern
-from jaxdyna.networks import Discriminator, output_shapes
+from jaxdyna.networks import Discriminator
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
 from jaxdyna.types import Key
 
@@ -78,10 +78,9 @@ def discriminator(
     puts the paper's model together, Fig. 4 scaled to the frame; ``frame_shape`` is ``(height,
     width, channels)``, hparams are `AdversarialHParams`.
     """
-    config = config_of(config, AdversaryConfig)
+    config = config or AdversaryConfig()
     check_shape(3, frame_shape=frame_shape)
     network = config.network
-    output_shapes(network, (2, *frame_shape))
 
     def init(key: Key, hparams: AdversarialHParams) -> Trained:
         params = network.init(key, jnp.zeros((1, *frame_shape)))

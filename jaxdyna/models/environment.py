@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from jaxdyna.fields import SettingError, setting
-from jaxdyna.types import Environment, Key, Prediction, check_part
+from jaxdyna.fields import SettingError, check, setting
+from jaxdyna.types import Environment, Key, Prediction
 
 
 @struct.dataclass
@@ -88,10 +88,7 @@ def never(prediction: Prediction, params: LearnedParams) -> jax.Array:
 
 def uniform_start(low: float, high: float) -> Callable[[Key, Any], jax.Array]:
     """Start states whose every entry is uniform in ``[low, high)``; ``params.start`` is an array
-    of the observation's shape.
-
-    Raises:
-        SettingError: where there is nothing between them.
+    of the observation's shape. `SettingError` where there is nothing between them.
     """
     if not -math.inf < low <= high < math.inf:
         raise SettingError("low", f"is {low} and high {high}: give finite ones, low at most high")
@@ -122,9 +119,7 @@ class LearnedEnvironment:
     truncates: Callable[[Prediction, LearnedParams], jax.Array] = never
 
     def __post_init__(self) -> None:
-        check_part("real", self.real, "default_params", "num_actions")
-        for name in ("predict", "start", "terminates", "truncates"):
-            check_part(name, getattr(self, name), "__call__")
+        check(self)
 
     @property
     def default_params(self) -> LearnedParams:

@@ -94,8 +94,6 @@ def r_squared(sums: dict[str, jax.Array], kind: str) -> jax.Array:
     """The share of the variance explained, R² ``[obs]``, of the next ``state`` or of its
     ``change``, out of `one_step_sums`; not finite for what does not vary.
     """
-    if kind not in ("state", "change"):
-        raise ValueError(f"kind is {kind!r}: give 'state' or 'change'")
     return 1 - sums["state_error"] / sums[f"{kind}_spread"]
 
 

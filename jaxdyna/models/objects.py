@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from jaxdyna.fields import check, check_counts, check_shape, config_of, setting
+from jaxdyna.fields import check, check_counts, check_shape, setting
 from jaxdyna.networks.objects import (
     EdgeOdds,
     RectangleDynamics,
@@ -79,7 +79,6 @@ def rectangles(
     Raises:
         ValueError: where ``groups`` are not the channels.
     """
-    config = config_of(config, RectangleConfig)
     check_counts(num_actions=num_actions, num_frames=num_frames)
     module, (height, width, channels) = _module(frame_shape, config), frame_shape
 

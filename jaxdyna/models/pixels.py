@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, check_counts, check_shape, config_of, setting
+from jaxdyna.fields import check, check_counts, check_shape, setting
 from jaxdyna.losses import PixelLoss, bce, l1, l2
 from jaxdyna.models.adversarial import AdversarialHParams, Adversary, gan_adam
-from jaxdyna.networks import FrameModel, LocalDynamics, LocalReward, output_shapes
+from jaxdyna.networks import FrameModel, LocalDynamics, LocalReward
 from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions
 
@@ -96,7 +96,7 @@ def pixels(
     Raises:
         ValueError: where the network predicts pictures of another shape.
     """
-    config = config_of(config, PixelConfig)
+    config = config or PixelConfig()
     module = FrameModel(config.network, config.reward, config.terminates)
     _check_shape(module, frame_shape, num_actions, num_frames)
     channels = frame_shape[-1]
@@ -235,8 +235,16 @@ def _check_shape(
 ) -> None:
     check_shape(3, frame_shape=frame_shape)
     check_counts(num_actions=num_actions, num_frames=num_frames)
-    stack, frame = (2, *frame_shape[:2], frame_shape[2] * num_frames), (2, *frame_shape)
-    shape = output_shapes(module, stack, (2, num_actions), frame, False)[0].shape[1:]
+
+    def predict(key: Key) -> jax.Array:
+        frame = jnp.zeros((2, *frame_shape))
+        stack, action = jnp.tile(frame, (1, 1, 1, num_frames)), jnp.zeros((2, num_actions))
+        return module.init_with_output(key, stack, action, frame, True)[0][0]
+
+    try:
+        shape = jax.eval_shape(predict, jax.random.key(0)).shape[1:]
+    except Exception:  # such as a convolution that leaves nothing, or what is no module
+        shape = ()
     if shape != tuple(frame_shape):
         raise ValueError(
             f"{type(module.network).__name__} predicts pictures of shape {shape} for frames "

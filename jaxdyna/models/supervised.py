@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, check_counts, config_of, setting
+from jaxdyna.fields import check, check_counts, setting
 from jaxdyna.losses import transition_loss
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
@@ -109,7 +109,7 @@ def supervised(
         units of that target's standard deviation over the data, the largest of all variables; 0 of
         a single member.
     """
-    config = config_of(config, SupervisedConfig)
+    config = config or SupervisedConfig()
     check_counts(obs_size=obs_size, num_actions=num_actions)
     network = MLP((*config.hidden, obs_size + 2), weight_variance=config.weight_variance)
     action_size = num_actions if config.one_hot else 1

@@ -8,7 +8,7 @@ from jaxdyna.networks.frames import (
     LocalReward,
     SignedReward,
 )
-from jaxdyna.networks.layers import MLP, Convolution, output_shapes
+from jaxdyna.networks.layers import MLP, Convolution
 from jaxdyna.networks.objects import RectangleDynamics, Resolution
 from jaxdyna.networks.patches import Discriminator, Patched, from_patches, to_patches
 from jaxdyna.networks.q_networks import (
@@ -23,5 +23,5 @@ __all__ = [
     "MLP", "Convolution", "ConvolutionalQ", "Discriminator", "EncoderDecoder", "FeaturePointQ",
     "FrameModel", "GlimpseQ", "JointReward", "LocalDynamics", "LocalReward", "Patched",
     "PerceptronQ", "RectangleDynamics", "Resolution", "SignedReward", "from_patches", "glimpses",
-    "output_shapes", "to_patches",
+    "to_patches",
 ]  # fmt: skip

@@ -81,14 +81,9 @@ def convolve(x: jax.Array, kernel: jax.Array, padding: int) -> jax.Array:
 
     Returns:
         ``[N, H', W', F]`` with ``H' = H + 2 * padding - k + 1``.
-
-    Raises:
-        ValueError: where the padding is none of these.
     """
     if not 0 <= padding < kernel.shape[0]:
-        raise ValueError(
-            f"padding is {padding}: give 0 to {kernel.shape[0] - 1}, the kernel's size - 1"
-        )
+        raise ValueError(f"padding is {padding}: give 0 to {kernel.shape[0] - 1}")
     return _forward(x, kernel, padding)
 
 

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from jaxdyna.fields import SettingError
 from jaxdyna.networks.layers import Convolution, Sized
 
 
@@ -58,13 +57,6 @@ class EncoderDecoder(Sized):
     widths: tuple[int, ...] = (32, 32, 32)
     kernels: tuple[int, ...] = (5, 4, 4)
     dense: int = 256
-
-    def _check(self) -> None:
-        if not self.widths or len(self.widths) != len(self.kernels):
-            said = (
-                f"are {self.kernels} for widths {self.widths}: give one a width, and one at least"
-            )
-            raise SettingError("kernels", said)
 
     @nn.compact
     def __call__(

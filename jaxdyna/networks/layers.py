@@ -2,56 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
-import jax.numpy as jnp
 from flax import linen as nn
 
-from jaxdyna.fields import SettingError, check_counts, check_shape, why
+from jaxdyna.fields import check_counts, check_shape
 from jaxdyna.networks.convolution import convolve
 
 
 class Sized(nn.Module):
-    """A module whose whole numbers are sizes, at least 1, and tuples of them likewise.
-
-    Raises:
-        SettingError: when it is made, where one is none; ``_check`` says what else it demands.
+    """A module whose whole numbers, in tuples too, are sizes, at least 1; only ``hidden`` may be
+    empty. `SettingError` where one is none.
     """
 
     def __post_init__(self) -> None:
         for name, field in self.__dataclass_fields__.items():
-            if field.type == "int":
-                check_counts(int(name != "padding"), **{name: getattr(self, name)})
-            elif str(field.type).startswith("tuple[int"):
-                check_shape(**{name: getattr(self, name)})
-        self._check()
+            value, kind = getattr(self, name), str(field.type)
+            if kind == "int":
+                check_counts(int(name != "padding"), **{name: value})
+            elif kind.startswith("tuple[int"):
+                check_shape(**{name: value if name == "hidden" else value or 0})
         super().__post_init__()
-
-    def _check(self) -> None:
-        """Nothing more."""
-
-
-def output_shapes(network: Any, *inputs: Any) -> Any:
-    """What a module makes of inputs of these shapes (or of what is no shape as it is): arrays
-    without values.
-
-    Raises:
-        ValueError: where it does not take them.
-    """
-
-    def made(key: jax.Array) -> Any:
-        given = [jnp.zeros(x) if isinstance(x, tuple) else x for x in inputs]
-        return network.apply(network.init(key, *given), *given)
-
-    try:
-        return jax.eval_shape(made, jax.random.key(0))
-    except Exception as error:
-        name, shapes = type(network).__name__, ", ".join(map(str, inputs))
-        raise ValueError(
-            f"the network {name} does not take inputs {shapes}, "
-            f"give one that does, with kernels that fit into them: {why(error)}"
-        ) from error
 
 
 class MLP(Sized):
@@ -66,10 +36,6 @@ class MLP(Sized):
 
     features: tuple[int, ...]
     weight_variance: float = 1.0
-
-    def _check(self) -> None:
-        if not self.features:
-            raise SettingError("features", "is (): give the width of the output at least")
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
@@ -92,11 +58,6 @@ class Convolution(Sized):
     features: int
     size: int
     padding: int
-
-    def _check(self) -> None:
-        if self.padding >= self.size:
-            said = f"is {self.padding}: give less than the kernel's size, {self.size}"
-            raise SettingError("padding", said)
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from jaxdyna.fields import SettingError
 from jaxdyna.networks.layers import Convolution, Sized
 
 
@@ -63,11 +62,6 @@ class Discriminator(Sized):
 
     strides: tuple[int, ...] = (4, 2)
     widths: tuple[int, ...] = (32, 64)
-
-    def _check(self) -> None:
-        if len(self.widths) != len(self.strides):
-            said = f"are {self.widths}: give as many as strides, {self.strides}"
-            raise SettingError("widths", said)
 
     @nn.compact
     def __call__(self, picture: jax.Array) -> jax.Array:

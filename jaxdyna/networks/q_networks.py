@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from jaxdyna.fields import SettingError
 from jaxdyna.networks.layers import Convolution, Sized
 
 
@@ -26,10 +25,6 @@ class ConvolutionalQ(Sized):
     num_actions: int
     widths: tuple[int, int, int] = (16, 16, 32)
     dense: int = 128
-
-    def _check(self) -> None:
-        if not self.widths:
-            raise SettingError("widths", "is (): give a convolution at least")
 
     @nn.compact
     def __call__(self, stack: jax.Array) -> jax.Array:
@@ -64,10 +59,6 @@ class GlimpseQ(Sized):
     heads: int = 3
     size: int = 5
     hidden: tuple[int, ...] = (128, 128)
-
-    def _check(self) -> None:
-        if self.size % 2 == 0:
-            raise SettingError("size", f"is {self.size}: give an odd one, for a cell in the middle")
 
     @nn.compact
     def __call__(self, stack: jax.Array) -> jax.Array:
@@ -116,7 +107,6 @@ def glimpses(x: jax.Array, by_row: jax.Array, by_column: jax.Array, size: int) -
     """What is around places in pictures ``[N, H, W, C]``, zero beyond the edge: ``[N, heads, size,
     size, C]``, the place in the middle. ``by_row`` ``[N, H, heads]`` and ``by_column`` say how
     likely each row and column is the place's; where it is uncertain, the mean over places.
-    ``size`` is odd.
     """
     if size % 2 == 0:
         raise ValueError(f"size is {size}: give an odd one, for a cell in the middle")

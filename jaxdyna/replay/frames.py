@@ -106,10 +106,7 @@ def init(
     check_counts(capacity=capacity, episodes=episodes, num_frames=num_frames)
     *lead, depth = example.obs.shape
     if capacity < num_frames:
-        raise ValueError(
-            f"capacity is {capacity}: give at least as many transitions as a stack has frames, "
-            f"{num_frames}"
-        )
+        raise ValueError(f"capacity is {capacity}: give at least a stack's frames, {num_frames}")
     if depth % num_frames:
         raise ValueError(f"{depth} channels are not {num_frames} frames of equal depth")
 

@@ -53,8 +53,6 @@ def frames(
     ``shared`` see `jaxdyna.types.Memory`.
     """
 
-    check_counts(num_frames=num_frames)
-
     def start(capacity: int, episodes: int, example: Transition, recorded: Any) -> FrameReplay:
         beside = jax.eval_shape(keep, recorded)
         return frame_replay.init(capacity, episodes, example, num_frames, beside)

@@ -64,11 +64,8 @@ def add(replay: Replay, items: PyTree, mask: jax.Array) -> Replay:
     Raises:
         AssertionError: where items and mask differ in these axes, or the mask is not bool.
         TypeError: where a leaf is of another type than what is held.
-        ValueError: where more items than ``capacity`` could come at once, or others than it holds.
+        ValueError: where more items than ``capacity`` could come at once.
     """
-    if jax.tree.structure(items) != jax.tree.structure(replay.data):
-        held, given = jax.tree.structure(replay.data), jax.tree.structure(items)
-        raise ValueError(f"the replay holds {held} and is given {given}: give what its example was")
     chex.assert_type(mask, bool)
     chex.assert_tree_shape_prefix(items, mask.shape)
     if mask.size > replay.capacity:
@@ -99,10 +96,8 @@ def check_type(held: jax.Array, new: jax.Array) -> None:
     """
     item = held.shape[1:]
     if new.shape[new.ndim - len(item) :] != item:
-        raise TypeError(
-            f"the replay holds arrays {list(item)} and is given {list(new.shape)}: let the last "
-            "axes be as its example's"
-        )
+        said = f"the replay holds arrays {list(item)} and is given {list(new.shape)}"
+        raise TypeError(f"{said}: let the last axes be as its example's")
     if not jnp.can_cast(new.dtype, held.dtype, "same_kind"):
         raise TypeError(
             f"the replay holds {held.dtype} and is given {new.dtype}: let the environment return "
@@ -117,8 +112,8 @@ def sample(
     """Draws items with replacement.
 
     Args:
-        replay: a buffer; an empty one whose size is traced yields its zeros, so check ``size`` or
-            mask what comes.
+        replay: a buffer; an empty one yields its zeros where it is traced, so check ``size`` or
+            mask what comes, and else a `ValueError`.
         key: random key.
         shape: how many, as leading axes.
         weight: ``[capacity]``, what each item's probability is in proportion to, as `share_weight`
@@ -126,9 +121,6 @@ def sample(
 
     Returns:
         Every leaf ``[*shape, ...]``.
-
-    Raises:
-        ValueError: where it is seen to be empty.
     """
     if not isinstance(replay.added, jax.core.Tracer) and not replay.added:
         raise ValueError("the replay is empty: add to it before it is sampled")
@@ -152,11 +144,7 @@ def take(replay: Replay, position: jax.Array) -> PyTree:
 
 
 def sample_distinct(replay: Replay, key: Key, count: int) -> PyTree:
-    """Draws ``count`` items, at most the capacity, none twice; those that it holds less than that
-    come as zeros.
-    """
-    if count > replay.capacity:
-        raise ValueError(f"count is {count}: the replay holds at most {replay.capacity}")
+    """Draws ``count`` items, none twice; those that it holds less than that come as zeros."""
     ticket = jnp.where(replay.held, jax.random.uniform(key, (replay.capacity,)), -1)
     best, rows = jax.lax.top_k(ticket, count)
 
@@ -194,8 +182,6 @@ def draw(weight: jax.Array, key: Key, shape: tuple[int, ...]) -> jax.Array:
     a row of them, then one in it, which saves running sums over all. In a row so unlikely that it
     has fewer of the 2^23 heights than items, the random number's other bits decide between these.
     """
-    if not isinstance(weight, jax.core.Tracer) and not (weight >= 0).all():
-        raise ValueError("a weight is negative or NaN: give numbers of at least 0")
     rows = jnp.pad(weight, (0, -weight.size % ROW)).reshape(-1, ROW)
     sums = rows.sum(1)
     ends = jnp.cumsum(sums)
