@@ -16,8 +16,7 @@ import jax.numpy as jnp
 
 from jaxdyna.dyna.conditional import where_needed
 from jaxdyna.dyna.config import DynaConfig, DynaHParams
-from jaxdyna.dyna.fit import check_hparams, check_parts, check_shapes
-from jaxdyna.dyna.parts import Dyna, DynaState, Metrics
+from jaxdyna.dyna.parts import Dyna, DynaState, Metrics, check_hparams, check_parts, check_shapes
 from jaxdyna.replay import ring
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Key, Transition, check_key
