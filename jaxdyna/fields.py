@@ -16,6 +16,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
+import jax
 import numpy as np
 
 T = TypeVar("T")
@@ -155,8 +156,8 @@ def type_hints(kind: Any) -> dict[str, Any]:
 
 
 def check(settings: Any, prefix: str = "") -> None:
-    """Checks every value against its type, numbers against their range too, and text against its
-    choices. Arrays and tracers pass, and so do functions and other objects.
+    """Checks every value against its type, numbers against their range too, those of an array as
+    well, and text against its choices. Tracers pass, and so do functions and other objects.
 
     Raises:
         SettingError: naming the first that cannot be, and what can.
@@ -169,13 +170,16 @@ def check(settings: Any, prefix: str = "") -> None:
 def _wanted_instead(leaf: Leaf) -> str | None:
     """What the value must be, where it is something else."""
     parts = tuple(_parts(leaf.value))
-    numbers: list[Any] = [part for part in parts if isinstance(part, int | float | np.number)]
-    words = [part for part in parts if isinstance(part, str)]
     kinds = _union(leaf.hint)
+    numbers: list[Any] = [part for part in parts if isinstance(part, int | float | np.number)]
+    if {int, float} & set(kinds):
+        numbers += [end for part in parts if _known(part) for end in (part.min(), part.max())]
+    words = [part for part in parts if isinstance(part, str)]
     if leaf.choices and any(word not in leaf.choices.values() for word in words):
         return f"be one of {', '.join(leaf.choices)}"
-    if not _fits(leaf.value, leaf.hint):
-        return f"be {_describe(leaf.hint)}"
+    is_class = isinstance(leaf.value, type) and all(get_origin(k) is not Callable for k in kinds)
+    if is_class or not _fits(leaf.value, leaf.hint):
+        return f"be {'one made by that class' if is_class else _describe(leaf.hint)}"
     if not parts and not leaf.empty:
         return "not be empty"
     if not all(leaf.range.holds(number) for number in numbers):
@@ -184,6 +188,45 @@ def _wanted_instead(leaf: Leaf) -> str | None:
     if leaf.range.high is None and any(most < abs(n) < math.inf for n in numbers):
         return f"be at most {most:.12g}"
     return None
+
+
+def _known(value: Any) -> bool:
+    """Whether it is an array of numbers that are not traced."""
+    array = isinstance(value, np.ndarray | jax.Array) and not isinstance(value, jax.core.Tracer)
+    return array and np.issubdtype(value.dtype, np.number) and value.size > 0
+
+
+def check_kind(name: str, given: Any, kinds: Any) -> None:
+    """Raises `SettingError` where an argument is of no such class (or of none of a tuple of them;
+    None: of any), or a setting in it cannot be.
+    """
+    kinds = kinds if isinstance(kinds, tuple) else () if kinds is None else (kinds,)
+    if kinds and not isinstance(given, kinds):
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise SettingError(name, f"is a {type(given).__name__}: give a {names}")
+    if _is_settings(given):
+        check(given, f"{name}.")
+
+
+def check_counts(at_least: int = 1, **named: Any) -> None:
+    """Raises `SettingError` where an argument is no whole number, or less than that."""
+    for name, value in named.items():
+        if not _counts(value, at_least):
+            raise SettingError(name, f"is {value}: it must be a whole number, at least {at_least}")
+
+
+def check_shape(*ranks: int, **named: Any) -> None:
+    """Raises `SettingError` where an argument is no shape, or not of so many axes."""
+    for name, value in named.items():
+        shape = isinstance(value, tuple | list) and all(_counts(size, 1) for size in value)
+        if not shape or (ranks and len(value) not in ranks):
+            of = "".join(f" of {rank}," for rank in ranks)
+            raise SettingError(name, f"is {value}: give a tuple{of} whole numbers, at least 1")
+
+
+def _counts(value: Any, at_least: int) -> bool:
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return whole and value >= at_least
 
 
 def changed(settings: T, overrides: Mapping[str, Any]) -> T:

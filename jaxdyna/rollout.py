@@ -8,7 +8,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.types import Environment, Key, Transition, check_transitions
+from jaxdyna.fields import check_counts, check_kind
+from jaxdyna.types import Environment, Key, Transition, check_key, check_part, check_transitions
 
 Record = Callable[[Any, Any, dict[str, Any]], Any]
 """``(state, next_state, info) -> pytree``: what is kept of a step beside its `Transition`: of the
@@ -47,20 +48,23 @@ def rollout(
 
     Raises:
         AssertionError: where actions are no integers.
-        ValueError: where N or T is not positive, T is left open under a traced ``max_steps``, or a
-            step's reward is no scalar.
+        ValueError: where an argument cannot be, T is left open under a traced ``max_steps``, an
+            action or a step's reward is no scalar, or, untraced, an action is out of range.
     """
+    check_part("env", env, "reset", "step", "default_params", "num_actions")
+    check_part("act", act, "__call__")
+    check_key(key)
+    check_kind("env_params", env_params, type(env.default_params))
     if num_steps is None:
         num_steps = _concrete_max_steps(env_params)
-    if num_episodes < 1 or num_steps < 1:
-        raise ValueError(
-            f"a rollout of {num_episodes} episodes of {num_steps} steps: both must be at least 1"
-        )
+    check_counts(num_episodes=num_episodes, num_steps=num_steps)
 
     def step(carry, time):
         obs, state, alive, key = carry
         key, key_act, key_step = jax.random.split(key, 3)
         action = act(obs, key_act, state) if sees_state else act(obs, key_act)
+        if jnp.shape(action):
+            raise ValueError(f"act returns an array {jnp.shape(action)}: make it a scalar")
         next_obs, next_state, reward, terminated, truncated, info = env.step(
             key_step, state, action, env_params
         )
@@ -95,6 +99,10 @@ def rollout(
 
     played, recorded = jax.vmap(episode)(jax.random.split(key, num_episodes))
     check_transitions(played, 2)
+    if not isinstance(played.action, jax.core.Tracer):
+        least, most, count = played.action.min(), played.action.max(), env.num_actions
+        if least < 0 or most >= count:
+            raise ValueError(f"actions are {least} to {most}: keep them within 0 to {count - 1}")
     return (played, recorded) if record else played
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom, binomtest, rankdata, t
 
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import check, check_counts, setting
 
 Summary = dict[str, Any]
 FEW = 5
@@ -61,7 +61,8 @@ def episodes_to_solve(returns: np.ndarray, rule: SolveRule) -> np.ndarray:
     """The number, from 1, of the episode that ends the first solving window.
 
     Args:
-        returns: `SolveRule.score`, ``[..., episodes]``; NaN where an episode was not played.
+        returns: `SolveRule.score`, ``[..., episodes]``; NaN where an episode was not played. A
+            window with what is not finite in it solves nothing, and spoils no other one.
         rule: when a run is solved.
 
     Returns:
@@ -77,12 +78,19 @@ def episodes_to_solve(returns: np.ndarray, rule: SolveRule) -> np.ndarray:
 
 def running_mean(values: np.ndarray, window: int) -> np.ndarray:
     """The mean of the last ``window`` entries at each of ``[..., episodes]``, of fewer at the
-    start, float64 of the same shape; after a NaN all is NaN.
+    start, float64 of the same shape; NaN where one of them is not finite.
     """
-    padded = np.concatenate([np.zeros((*values.shape[:-1], 1)), values.cumsum(-1, np.float64)], -1)
+    check_counts(window=window)
     ends = np.arange(1, values.shape[-1] + 1)
     starts = np.maximum(ends - window, 0)
-    return (padded[..., ends] - padded[..., starts]) / (ends - starts)
+
+    def sums(parts: np.ndarray) -> np.ndarray:
+        zeros = np.zeros((*parts.shape[:-1], 1))
+        padded = np.concatenate([zeros, parts.cumsum(-1, np.float64)], -1)
+        return padded[..., ends] - padded[..., starts]
+
+    finite = np.isfinite(values)
+    return np.where(sums(~finite) > 0, np.nan, sums(np.where(finite, values, 0)) / (ends - starts))
 
 
 def carried(values: np.ndarray) -> np.ndarray:
@@ -117,7 +125,7 @@ def summarise(
     """What the seeds say together, ready for JSON (None for infinity).
 
     Args:
-        per_seed: ``[seeds]``; infinity where unsolved.
+        per_seed: ``[seeds]``, one at least; infinity where unsolved.
         solved: bool ``[seeds]``, by default where ``per_seed`` is finite.
         at_least: the budget B at which an unsolved seed stopped, a scalar or ``[seeds]``.
         positive: whether it is a positive quantity, whose logarithm is the more symmetrical.
@@ -130,6 +138,8 @@ def summarise(
         ``restricted_ci95``, else None.
     """
     per_seed = np.asarray(per_seed, np.float64)
+    if per_seed.ndim != 1 or not per_seed.size:
+        raise ValueError(f"per_seed is {list(per_seed.shape)}: give [seeds], a number a run")
     solved = np.isfinite(per_seed) if solved is None else solved
     budget = restricted = restricted_ci95 = None
     most = np.inf

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from jaxdyna.types import Key, PyTree
+from jaxdyna.fields import check_counts
+from jaxdyna.types import Key, PyTree, check_key
 
 AXES = ("settings", "seeds")
 """Names of the vmapped axes, for `jaxdyna.dyna.make_train` and `make_advance`."""
@@ -42,8 +43,11 @@ def sweep(
         nothing is swept).
 
     Raises:
-        ValueError: where the swept leaves differ in length.
+        ValueError: where the swept leaves differ in length, or another argument cannot be.
     """
+    check_key(keys, 1)
+    check_counts(keys=len(keys), block=1 if block is None else block)
+    getattr(train, "check", lambda hparams: None)(hparams)
     return _sweep(train, keys, hparams, num_settings(hparams), block)
 
 
@@ -71,6 +75,7 @@ def over_runs(function: Callable[..., PyTree], size: int) -> Callable[..., PyTre
     """``function`` of one run, over the leading axis of all its arguments: ``size`` runs computed
     together, along the axis `RUNS`.
     """
+    check_counts(size=size)
 
     def together(*arguments: Any) -> PyTree:
         return _named_vmap(function, (0,) * len(arguments), size, RUNS)(*arguments)
@@ -115,9 +120,13 @@ def num_settings(hparams: Any) -> int:
     """The length of the swept axis; 1 where every leaf is a scalar.
 
     Raises:
-        ValueError: where the swept leaves differ in length.
+        ValueError: where the swept leaves differ in length, or have none or further axes.
     """
-    lengths = {jnp.shape(leaf)[0] for leaf in jax.tree.leaves(hparams) if jnp.ndim(leaf) > 0}
+    shapes = {jnp.shape(leaf) for leaf in jax.tree.leaves(hparams) if jnp.ndim(leaf) > 0}
+    for shape in shapes:
+        if len(shape) > 1 or 0 in shape:
+            raise ValueError(f"a swept hyper-parameter is {list(shape)}: give one value a setting")
+    lengths = {shape[0] for shape in shapes}
     if len(lengths) > 1:
         raise ValueError(
             f"swept hyper-parameters have lengths {sorted(lengths)}: "

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxdyna.planners import Guide, Planner
 from jaxdyna.trees import difference, is_key, named_leaves, stack
-from jaxdyna.types import Agent, DynamicsModel, Environment, Transition
+from jaxdyna.types import Agent, DynamicsModel, Environment, Transition, check_part
 
 ROWS, STEPS = 4, 50
 """Calls that are compared with one another, and steps of an episode at the most."""
@@ -24,6 +24,7 @@ ERRORS: dict[type[Exception], str] = {
 }
 """What errors of JAX mean, the first that fits."""
 PADDING = "depends on the padding, masked steps after the end: divide by the sum of the mask"
+EPISODES = "transitions have not the axes of episodes: give those of a rollout, [N, T]"
 AXES = "depends on how many leading axes transitions have: flatten as many as the mask has"
 
 
@@ -39,6 +40,7 @@ def check_environment(env: Environment, params: Any = None, random: bool | None 
         params: its parameters, by default ``env.default_params``.
         random: True demands that the key matters; None does not, as nothing need be random.
     """
+    check_part("env", env, "reset", "step", "default_params", "num_actions")
     name = type(env).__name__
     try:
         hash(env)
@@ -84,6 +86,8 @@ def check_agent(agent: Agent, hparams: Any, transitions: Transition, num_actions
         transitions: a few whole episodes ``[N, T]``, with T of at least 2.
         num_actions: of the world.
     """
+    check_part("agent", agent, "init", "act", "update")
+    _demand(np.ndim(transitions.mask) == 2, EPISODES)
     state = _Pure("init", agent.init)(_keys(0)[0], hparams)
     obs = np.asarray(transitions.obs)[0]
     for name in ("act", "act_fake"):
@@ -104,6 +108,8 @@ def check_model(model: DynamicsModel, hparams: Any, transitions: Transition) -> 
         hparams: its hyper-parameters.
         transitions: a few whole episodes ``[N, T]``, with T of at least 2.
     """
+    check_part("model", model, "init", "predict", "update")
+    _demand(np.ndim(transitions.mask) == 2, EPISODES)
     state = _Pure("init", model.init)(_keys(0)[0], hparams)
     _demand(hasattr(state, "params"), "init's state has no params: call what predict takes so")
     obs, action = np.asarray(transitions.obs)[0], np.asarray(transitions.action)[0]
@@ -127,6 +133,7 @@ def check_planner(planner: Planner, env: Environment, params: Any, prior: bool =
         params: its parameters.
         prior: whether ``guide.prior`` has to count, as where it starts from a policy.
     """
+    check_part("planner", planner, "__call__")
     name, reset, zeros = "the planner", jax.jit(env.reset), np.zeros(env.num_actions, np.float32)
     starts = [(*reset(key, params), key) for key in _keys(0)]
 

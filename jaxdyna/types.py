@@ -18,6 +18,24 @@ Key = jax.Array
 PyTree = Any
 
 
+def check_key(key: Any, rank: int = 0) -> None:
+    """Raises `ValueError` for what is no typed key, or with a rank of 1 no array of them."""
+    typed = jax.dtypes.issubdtype(getattr(key, "dtype", None), jax.dtypes.prng_key)
+    if not typed or key.ndim != rank:
+        what = f"{key.dtype}{list(key.shape)}" if hasattr(key, "shape") else f"{key!r}"
+        make = "jax.random.split(jax.random.key(0), seeds)" if rank else "jax.random.key(0)"
+        raise ValueError(f"{'keys are' if rank else 'key is'} {what}: make typed ones by {make}")
+
+
+def check_part(name: str, part: Any, *functions: str) -> None:
+    """Raises `ValueError` for what has not the functions of such a part."""
+    if isinstance(part, type) or not all(hasattr(part, function) for function in functions):
+        kind = (
+            f"the class {part.__name__}" if isinstance(part, type) else f"a {type(part).__name__}"
+        )
+        raise ValueError(f"{name} is {kind}: give one that has {', '.join(functions)}")
+
+
 class Transition(NamedTuple):
     """One step of experience, or with leading axes a batch of them (``[N, T]`` from `rollout`).
 
@@ -138,6 +156,9 @@ class Agent(NamedTuple):
             None: as ``update``.
         update_expert: as ``update`` from real episodes that another acted in
             (`jaxdyna.dyna.Expert`), None: as ``update``.
+        num_actions: how many actions it chooses from, so that it is not put into a world of others;
+            None: not said.
+        hparams: the class of its hparams, or a tuple of those it takes; None: not said.
     """
 
     init: Callable[[Key, Any], Any]
@@ -146,6 +167,8 @@ class Agent(NamedTuple):
     act_fake: Act | None = None
     update_fake: Update | None = None
     update_expert: Update | None = None
+    num_actions: int | None = None
+    hparams: Any = None
 
 
 class Memory(NamedTuple):
@@ -204,8 +227,12 @@ class DynamicsModel(NamedTuple):
         predict: ``(params, obs, action, key) -> Prediction`` for one observation and action.
         update: ``(state, transitions, key, hparams) -> (state, metrics)``: one gradient step on
             transitions with any leading axes, weighed by their ``weight``.
+        num_actions: as an agent's.
+        hparams: likewise.
     """
 
     init: Callable[[Key, Any], Any]
     predict: Callable[[Any, jax.Array, jax.Array, Key], Prediction]
     update: Update
+    num_actions: int | None = None
+    hparams: Any = None

@@ -2,6 +2,8 @@
 
 import signal
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import gymnasium
 import jax
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 from parts import assert_same
 
-from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette
+from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette, atari
 from jaxdyna.envs.gymnasium import check_atari
 from jaxdyna.envs.pong_screen import masks_by_colour, paint
 from jaxdyna.experiments.engine import main
@@ -112,6 +114,27 @@ def test_who_does_nothing_loses_a_whole_game(env):
         small, lambda obs, key: jnp.int32(0), jax.random.key(3), small.default_params, games=2
     )
     np.testing.assert_array_equal(points, [-21, -21])
+
+
+def test_the_emulators_own_limit_is_no_end_of_the_game(env, monkeypatch):
+    """Of 20 frames here, the one of doing nothing among them; the literature's is of 108,000."""
+    few = {"repeat_action_probability": 0.0, "max_num_frames_per_episode": 20}
+
+    def emulator(game):
+        made = gymnasium.make(f"ALE/{game}-v5", **few)
+        made.reset(seed=0)
+        return made.unwrapped.ale
+
+    monkeypatch.setattr(atari, "atari_emulator", emulator)
+    monkeypatch.setattr(atari, "_here", threading.local())
+    monkeypatch.setattr(atari, "_threads", lambda: ThreadPoolExecutor(1))
+    params = env.default_params.replace(no_ops=ONE_NO_OP)
+    _, state = env.reset(jax.random.key(0), params)
+    ends = []
+    for _ in range(5):
+        _, state, _, terminated, truncated, _ = env.step(jax.random.key(0), state, 0, params)
+        ends.append((bool(terminated), bool(truncated)))
+    assert ends == [(False, False)] * 4 + [(False, True)]
 
 
 @pytest.mark.parametrize(

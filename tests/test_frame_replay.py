@@ -329,5 +329,5 @@ def test_clear_errors():
         frame_replay.add(buffer, episodes._replace(reward=episodes.reward.T))
     with pytest.raises(ValueError, match="equal depth"):
         frame_replay.init(20, 9, example(episodes), num_frames=5)
-    with pytest.raises(ValueError, match="at least one episode"):
+    with pytest.raises(ValueError, match="capacity is 3: give at least a stack"):
         frame_replay.init(3, 9, example(episodes))

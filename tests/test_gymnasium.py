@@ -127,7 +127,7 @@ def test_clear_errors():
         HostEnv(ENV).step(0)
     world = LearnedEnvironment(ENV, perfect_predict, uniform_start(-0.1, 0.1))
     with pytest.raises(ValueError, match="cannot be rendered"):
-        HostEnv(world, ENV.default_params, render_mode="rgb_array")
+        HostEnv(world, world.default_params, render_mode="rgb_array")
 
 
 def test_an_action_may_be_of_jax_and_must_be_a_number():

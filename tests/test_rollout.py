@@ -245,7 +245,7 @@ def test_a_reward_that_is_no_scalar_is_told():
 
 
 def test_clear_errors():
-    with pytest.raises(ValueError, match="0 episodes"):
+    with pytest.raises(ValueError, match="num_episodes is 0"):
         play(episodes=0)
     with pytest.raises(AssertionError, match="type"):
         jax.eval_shape(

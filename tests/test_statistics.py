@@ -410,3 +410,11 @@ def test_correlation_and_means_agree_with_scipy_and_numpy(values, missing):
     said = mean_of_runs(some)
     assert said["mean"] == (pytest.approx(np.nanmean(some)) if missing < len(some) else None)
     assert said["per_seed"] == [None if np.isnan(value) else value for value in some]
+
+
+def test_what_is_not_finite_spoils_its_own_windows_only():
+    """A broken return neither solves a run nor keeps it from being solved for ever."""
+    rule, steady = SolveRule(2, 1.0), [0.0, 0.0, 1.0, 1.0, 0.0]
+    for broken in (np.nan, np.inf, -np.inf):
+        found = episodes_to_solve(np.array([[broken, *steady], [0.0, broken, 0, 0, 0, 0]]), rule)
+        np.testing.assert_array_equal(found, [5, np.inf])

@@ -21,7 +21,7 @@ from jaxdyna.fields import check, setting
 from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.replay import ring
 from jaxdyna.replay.ring import Replay
-from jaxdyna.types import Agent, Key, Transition, check_transitions
+from jaxdyna.types import Agent, Key, Transition, check_part, check_transitions
 
 Loss = Callable[[jax.Array, jax.Array], jax.Array]
 """``(outputs [A], action) -> loss`` of one imitated action, a scalar."""
@@ -123,6 +123,7 @@ def cloning(
     Returns:
         An `Agent` with the hparams of ``agent``.
     """
+    check_part("agent", agent, "init", "act", "update")
 
     def init(key: Key, hparams: Any) -> CloningState:
         own = agent.init(key, hparams)
@@ -193,4 +194,6 @@ def _lifted(agent: Agent, init: Callable, update_expert: Callable, install: Call
         agent.act_fake and lift_act(agent.act_fake),
         agent.update_fake and lift_update(agent.update_fake),
         update_expert,
+        agent.num_actions,
+        agent.hparams,
     )

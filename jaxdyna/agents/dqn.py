@@ -16,6 +16,7 @@ from flax import struct
 from jaxdyna.agents import exploration
 from jaxdyna.agents.dqn_settings import DQNConfig, DQNHParams
 from jaxdyna.agents.exploration import Exploration
+from jaxdyna.fields import SettingError, check_counts, check_shape
 from jaxdyna.losses import td_error
 from jaxdyna.networks import GlimpseQ, PerceptronQ
 from jaxdyna.replay import frames as frame_replay
@@ -75,18 +76,16 @@ def dqn(
         An `Agent` whose hparams are `DQNHParams`.
 
     Raises:
-        ValueError: where an observation is neither.
+        ValueError: where an observation is neither, or the network does not take it to the values.
     """
-    if len(frame_shape) not in (1, 3):
-        raise ValueError(
-            f"frame_shape is {frame_shape}: give (height, width, channels) of a frame, or (n,) of "
-            "a vector"
-        )
+    check_shape(3, 1, frame_shape=frame_shape)
     config, pictures = config or DQNConfig(), len(frame_shape) == 3
+    num_frames = (4 if pictures else 1) if num_frames is None else num_frames
+    check_counts(num_actions=num_actions, num_frames=num_frames)
     network = config.network or (GlimpseQ if pictures else PerceptronQ)(num_actions)
-    values, num_frames = partial(q_values, network), num_frames or (4 if pictures else 1)
+    values, kind = partial(q_values, network), jnp.uint8 if pictures else jnp.float32
     obs_shape = (*frame_shape[:-1], frame_shape[-1] * num_frames)
-    kind = jnp.uint8 if pictures else jnp.float32
+    _check_network(network, jnp.zeros((1, *obs_shape)), num_actions)
 
     def init(key: Key, hparams: DQNHParams) -> DQNState:
         params = network.init(key, jnp.zeros((1, *obs_shape)))
@@ -169,7 +168,18 @@ def dqn(
 
         return _where((transitions.weights > 0).any(), work, state)
 
-    return Agent(init, act, update, act_fake, update_fake)
+    return Agent(init, act, update, act_fake, update_fake, None, num_actions, DQNHParams)
+
+
+def _check_network(network: Any, obs: jax.Array, num_actions: int) -> None:
+    def made(key: Key) -> jax.Array:
+        return network.apply(network.init(key, obs), obs)
+
+    try:
+        chex.assert_shape(jax.eval_shape(made, jax.random.key(0)), (1, num_actions))
+    except Exception as error:
+        said = f"does not take observations {list(obs.shape)} to {num_actions} values: mend it"
+        raise SettingError("network", f"{said} ({str(error).partition(chr(10))[0]})") from error
 
 
 def real_memory(state: DQNState) -> FrameReplay:

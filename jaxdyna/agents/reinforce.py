@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import check, check_counts, check_shape, setting
 from jaxdyna.losses import discounted_returns, policy_gradient, standardise
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
@@ -90,6 +90,7 @@ def policy_logits(
     num_actions: int, config: ReinforceConfig
 ) -> Callable[[Any, jax.Array], jax.Array]:
     """``(params, obs [*obs]) -> [A]``: the log odds that an agent of `reinforce` acts by."""
+    check_counts(num_actions=num_actions)
     network = MLP((*config.hidden, num_actions))
 
     def logits(params: Any, obs: jax.Array) -> jax.Array:
@@ -103,8 +104,9 @@ def reinforce(
 ) -> Agent:
     """An `Agent` whose hparams are `ReinforceHParams`; it flattens observations ``obs_shape``."""
     config = config or ReinforceConfig()
-    network = MLP((*config.hidden, num_actions))
+    check_shape(obs_shape=obs_shape)
     logits = policy_logits(num_actions, config)
+    network = MLP((*config.hidden, num_actions))
 
     def init(key: Key, hparams: ReinforceHParams) -> Trained:
         params = network.init(key, jnp.zeros(obs_shape, jnp.float32).reshape(-1))
@@ -145,4 +147,4 @@ def reinforce(
         new = jax.tree.map(lambda new, old: jnp.where(any_valid, new, old), new, state)
         return new, {"loss": loss}
 
-    return Agent(init, act, update)
+    return Agent(init, act, update, num_actions=num_actions, hparams=ReinforceHParams)

@@ -16,12 +16,11 @@ import jax.numpy as jnp
 
 from jaxdyna.dyna.conditional import mean_of_done, where_needed
 from jaxdyna.dyna.config import DynaConfig, DynaHParams
-from jaxdyna.dyna.parts import Dyna, DynaState, Metrics
-from jaxdyna.fields import SettingError
+from jaxdyna.dyna.parts import Dyna, DynaState, Metrics, check_hparams, check_parts, check_shapes
 from jaxdyna.replay import ring
 from jaxdyna.rollout import rollout
 from jaxdyna.trees import finite
-from jaxdyna.types import Key, Transition
+from jaxdyna.types import Key, Transition, check_key
 
 DIVERGED = ("world", "agent", "model")
 """Whose numbers may stop being finite: the metric ``diverged`` counts them from 1, 0 is none."""
@@ -38,14 +37,18 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
         ``init(key, hparams) -> state``.
 
     Raises:
-        SettingError: where dreams, or an expert, would wait for more episodes than there are.
+        ValueError: where the parts do not fit each other; ``init`` likewise, and hyper-parameters.
     """
-    first, episodes = config.num_real_first, config.num_episodes
-    if (dyna.dream or dyna.expert) and first > episodes:
-        said = f"(N) is {first} but there are only {episodes} episodes: lower N or raise these"
-        raise SettingError("num_real_first", said)
+    check_parts(dyna, config)
 
     def init(key: Key, hparams: DynaHParams) -> DynaState:
+        check_key(key)
+        check_hparams(dyna, config, hparams)
+        state = start(key, hparams)
+        check_shapes(dyna, state, hparams)
+        return state
+
+    def start(key: Key, hparams: DynaHParams) -> DynaState:
         key, key_agent, key_model = jax.random.split(key, 3)
         agent = dyna.agent.init(key_agent, hparams.agent)
         model = dyna.model and dyna.model.init(key_model, hparams.model)
@@ -146,12 +149,14 @@ def make_train(
 
     Returns:
         ``train(key, hparams) -> (state, metrics)``; metrics are ``[config.num_episodes, ...]``.
+        Its ``check(hparams)`` raises a `ValueError`: `jaxdyna.sweep` asks it before all is traced.
     """
     init, advance = make_init(dyna, config), make_advance(dyna, config, axes)
 
     def train(key: Key, hparams: DynaHParams) -> tuple[DynaState, Metrics]:
         return advance(init(key, hparams), jnp.arange(config.num_episodes), hparams)
 
+    train.check = partial(check_hparams, dyna, config)  # type: ignore[attr-defined]
     return train
 
 

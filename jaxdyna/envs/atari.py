@@ -103,14 +103,14 @@ class AtariPong(Pictures):
 
         Returns:
             ``obs, state, reward, terminated, truncated, info``: the reward is 1 for a point won and
-            -1 for one lost.
+            -1 for one lost. The emulator too cuts games off, after 108,000 frames with the first.
         """
         del key
-        saved, screen, reward, over = _on_host(
+        saved, screen, reward, over, cut = _on_host(
             state.emulator, jnp.asarray(action, jnp.int32), jnp.int32(self.frame_skip)
         )
         new = replace(state, emulator=saved, time=state.time + 1)
-        late = new.time >= params.max_steps
+        late = cut | (new.time >= params.max_steps)
         return self._frame(screen), new, reward, over, ~over & late, {}
 
     def _frame(self, screen: jax.Array) -> jax.Array:
@@ -121,11 +121,12 @@ class AtariPong(Pictures):
 
 
 def _on_host(saved: jax.Array, action: jax.Array, frames: jax.Array) -> Any:
-    """``saved, screen, reward, over`` after so many frames; all zeros is a new game."""
+    """``saved, screen, reward, over, cut off`` after so many frames; all zeros is a new game."""
     shapes = (
         jax.ShapeDtypeStruct((EMULATOR_BYTES,), jnp.uint8),
         jax.ShapeDtypeStruct(SCREEN, jnp.uint8),
         jax.ShapeDtypeStruct((), jnp.float32),
+        jax.ShapeDtypeStruct((), jnp.bool_),
         jax.ShapeDtypeStruct((), jnp.bool_),
     )
     return jax.pure_callback(_play, shapes, saved, action, frames, vmap_method="broadcast_all")
@@ -137,13 +138,13 @@ def _play(saved: Any, action: Any, frames: Any) -> Any:
     lead = action.shape
     rows = (saved.reshape(-1, EMULATOR_BYTES), action.reshape(-1), frames.reshape(-1))
     played = list(_threads().map(_play_one, *rows))
-    dtypes = (np.uint8, np.uint8, np.float32, np.bool_)
+    dtypes = (np.uint8, np.uint8, np.float32, np.bool_, np.bool_)
     columns = zip(zip(*played, strict=True), dtypes, strict=True)
     stacks: Any = (np.stack(column).astype(dtype, copy=False) for column, dtype in columns)
     return tuple(stack.reshape((*lead, *stack.shape[1:])) for stack in stacks)
 
 
-def _play_one(saved: np.ndarray, action: int, frames: int) -> tuple[np.ndarray, Any, float, bool]:
+def _play_one(saved: np.ndarray, action: int, frames: int) -> tuple[Any, ...]:
     if not hasattr(_here, "emulator"):
         _here.emulator = atari_emulator("Pong")
         _here.start = _here.emulator.cloneState(include_rng=True)
@@ -151,7 +152,8 @@ def _play_one(saved: np.ndarray, action: int, frames: int) -> tuple[np.ndarray, 
     ale.restoreState(_unpacked(saved, _here.start) if saved.any() else _here.start)
     buttons = ale.getMinimalActionSet()
     reward = sum(ale.act(buttons[int(action)]) for _ in range(int(frames)))
-    return _packed(ale.cloneState(include_rng=True)), ale.getScreenRGB(), reward, ale.game_over()
+    ends = (ale.game_over(with_truncation=False), ale.game_truncated())
+    return _packed(ale.cloneState(include_rng=True)), ale.getScreenRGB(), reward, *ends
 
 
 def _packed(state: Any) -> np.ndarray:

@@ -17,7 +17,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from jaxdyna.types import Environment
+from jaxdyna.fields import check_counts, check_kind
+from jaxdyna.types import Environment, check_part
 
 __all__ = ["HostEnv", "HostVectorEnv", "atari_emulator", "register", "spaces"]
 
@@ -51,6 +52,7 @@ def register(env_id: str, env: Environment, params: Any, **spec: Any) -> None:
         params: its parameters; for a learned environment the trained weights.
         **spec: further fields of Gymnasium's ``EnvSpec``, such as ``reward_threshold``.
     """
+    _checked(env, params)
     gymnasium.register(
         env_id,
         entry_point=f"{__name__}:HostEnv",
@@ -102,7 +104,7 @@ class HostEnv(gymnasium.Env[np.ndarray, np.int64]):
 
     def __init__(self, env: Environment, params: Any = None, render_mode: str | None = None):
         self.env = env
-        self.params = env.default_params if params is None else params
+        self.params = _checked(env, params)
         self.render_mode = _check_render_mode(env, render_mode)
         self.observation_space = env.observation_space(self.params)
         self.action_space = env.action_space(self.params)
@@ -161,8 +163,9 @@ class HostVectorEnv(VectorEnv):
         self, env: Environment, params: Any = None, num_envs: int = 1,
         render_mode: str | None = None,
     ):  # fmt: skip
+        check_counts(num_envs=num_envs)
         self.env = env
-        self.params = env.default_params if params is None else params
+        self.params = _checked(env, params)
         self.num_envs = num_envs
         self.render_mode = _check_render_mode(env, render_mode)
         self.single_observation_space = env.observation_space(self.params)
@@ -204,6 +207,14 @@ class HostVectorEnv(VectorEnv):
             return None
         frames = jax.vmap(lambda state: _render(self.env, self.params, state))(self._state)
         return tuple(np.asarray(frames))
+
+
+def _checked(env: Environment, params: Any) -> Any:
+    """The params, by default the environment's."""
+    check_part("env", env, "reset", "step", "default_params")
+    params = env.default_params if params is None else params
+    check_kind("params", params, type(env.default_params))
+    return params
 
 
 def _check_render_mode(env: Environment, render_mode: str | None) -> str | None:

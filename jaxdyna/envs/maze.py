@@ -80,7 +80,9 @@ class Maze(Pictures):
                 raise SettingError(
                     name, f"is {cell}: give a tuple (row, column) within 0..{self.size - 1}"
                 )
-        free = self.size**2 - len({self.start_cell, self.goal_cell})
+        if self.start_cell == self.goal_cell:
+            raise SettingError("start", f"is {self.start_cell}, the goal's cell: give another one")
+        free = self.size**2 - 2
         if self.num_obstacles > free:
             raise SettingError("num_obstacles", f"is {self.num_obstacles}: it must be in 0..{free}")
 

@@ -22,6 +22,9 @@ class Wrapper:
 
     env: Environment = setting(help="What is wrapped.")
 
+    def __post_init__(self) -> None:
+        check(self)
+
     @property
     def default_params(self) -> Any:
         """The environment's."""
@@ -55,7 +58,7 @@ class FrameStack(Wrapper):
     num_frames: int = setting(4, "Frames in an observation.", at_least=1)
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         shape = self.env.observation_space(self.env.default_params).shape
         if len(shape) != 3:
             raise ValueError(

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import check, check_shape, setting
 from jaxdyna.losses import deceive, discern
 from jaxdyna.networks import Discriminator
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
@@ -79,6 +79,7 @@ def discriminator(
     width, channels)``, hparams are `AdversarialHParams`.
     """
     config = config or AdversaryConfig()
+    check_shape(3, frame_shape=frame_shape)
     network = config.network
 
     def init(key: Key, hparams: AdversarialHParams) -> Trained:

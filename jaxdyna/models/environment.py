@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from jaxdyna.fields import setting
+from jaxdyna.fields import SettingError, check, setting
 from jaxdyna.types import Environment, Key, Prediction
 
 
@@ -88,8 +88,10 @@ def never(prediction: Prediction, params: LearnedParams) -> jax.Array:
 
 def uniform_start(low: float, high: float) -> Callable[[Key, Any], jax.Array]:
     """Start states whose every entry is uniform in ``[low, high)``; ``params.start`` is an array
-    of the observation's shape.
+    of the observation's shape. `SettingError` where there is nothing between them.
     """
+    if not -math.inf < low <= high < math.inf:
+        raise SettingError("low", f"is {low} and high {high}: give finite ones, low at most high")
 
     def start(key: Key, like: jax.Array) -> jax.Array:
         return jax.random.uniform(key, like.shape, like.dtype, minval=low, maxval=high)
@@ -115,6 +117,9 @@ class LearnedEnvironment:
     start: Callable[[Key, Any], jax.Array]
     terminates: Callable[[Prediction, LearnedParams, Key], jax.Array] = threshold_rule
     truncates: Callable[[Prediction, LearnedParams], jax.Array] = never
+
+    def __post_init__(self) -> None:
+        check(self)
 
     @property
     def default_params(self) -> LearnedParams:

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import check, check_counts, check_shape, setting
 from jaxdyna.networks.objects import (
     EdgeOdds,
     RectangleDynamics,
@@ -79,8 +79,8 @@ def rectangles(
     Raises:
         ValueError: where ``groups`` are not the channels.
     """
-    height, width, channels = frame_shape
-    module = _module(frame_shape, config)
+    check_counts(num_actions=num_actions, num_frames=num_frames)
+    module, (height, width, channels) = _module(frame_shape, config), frame_shape
 
     def init(key: Key, hparams: Any) -> Trained:
         stack = jnp.zeros((1, height, width, channels * num_frames), jnp.uint8)
@@ -103,7 +103,7 @@ def rectangles(
             uncertainty=_expected_wrong(odds, then)[0],
         )
 
-    return DynamicsModel(init, predict, _learner(module, num_actions, config))
+    return DynamicsModel(init, predict, _learner(module, num_actions, config), num_actions)
 
 
 def rectangle_probability(
@@ -132,6 +132,7 @@ def rectangle_probability(
 
 
 def _module(frame_shape: tuple[int, int, int], config: RectangleConfig) -> RectangleDynamics:
+    check_shape(3, frame_shape=frame_shape)
     channels = frame_shape[-1]
     if sorted(channel for group in config.groups for channel in group) != list(range(channels)):
         raise ValueError(f"groups are {config.groups}: name each of the {channels} channels once")

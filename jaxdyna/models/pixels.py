@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import check, check_counts, check_shape, setting
 from jaxdyna.losses import PixelLoss, bce, l1, l2
-from jaxdyna.models.adversarial import Adversary, gan_adam
+from jaxdyna.models.adversarial import AdversarialHParams, Adversary, gan_adam
 from jaxdyna.networks import FrameModel, LocalDynamics, LocalReward
 from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions
@@ -97,9 +97,9 @@ def pixels(
         ValueError: where the network predicts pictures of another shape.
     """
     config = config or PixelConfig()
-    channels = frame_shape[-1]
     module = FrameModel(config.network, config.reward, config.terminates)
-    _check_shape(config.network, frame_shape, num_actions, num_frames)
+    _check_shape(module, frame_shape, num_actions, num_frames)
+    channels = frame_shape[-1]
 
     def init(key: Key, hparams: PixelHParams) -> PixelState:
         stack = jnp.zeros((2, *frame_shape[:2], channels * num_frames))
@@ -132,7 +132,8 @@ def pixels(
         )
 
     update = _learner(module, num_actions, channels, config, adversary)
-    return DynamicsModel(init, predict, update)
+    kinds = (PixelHParams, AdversarialHParams) if adversary is None else AdversarialHParams
+    return DynamicsModel(init, predict, update, num_actions, kinds)
 
 
 def _learner(
@@ -230,19 +231,23 @@ def frame_probability(
 
 
 def _check_shape(
-    network: Any, frame_shape: tuple[int, int, int], num_actions: int, num_frames: int
+    module: FrameModel, frame_shape: tuple[int, int, int], num_actions: int, num_frames: int
 ) -> None:
+    check_shape(3, frame_shape=frame_shape)
+    check_counts(num_actions=num_actions, num_frames=num_frames)
+
     def predict(key: Key) -> jax.Array:
-        stack = jnp.zeros((2, *frame_shape[:2], frame_shape[2] * num_frames))
-        return network.init_with_output(key, stack, jnp.zeros((2, num_actions)), True)[0][0]
+        frame = jnp.zeros((2, *frame_shape))
+        stack, action = jnp.tile(frame, (1, 1, 1, num_frames)), jnp.zeros((2, num_actions))
+        return module.init_with_output(key, stack, action, frame, True)[0][0]
 
     try:
         shape = jax.eval_shape(predict, jax.random.key(0)).shape[1:]
-    except (TypeError, ValueError, ZeroDivisionError):  # a convolution that leaves nothing
+    except Exception:  # such as a convolution that leaves nothing, or what is no module
         shape = ()
-    if shape != frame_shape:
+    if shape != tuple(frame_shape):
         raise ValueError(
-            f"{type(network).__name__} predicts pictures of shape {shape} for frames "
+            f"{type(module.network).__name__} predicts pictures of shape {shape} for frames "
             f"{frame_shape}: give it their number of channels, and kernels that fit into them"
         )
 

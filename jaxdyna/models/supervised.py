@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import check, check_counts, setting
 from jaxdyna.losses import transition_loss
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
@@ -110,6 +110,7 @@ def supervised(
         a single member.
     """
     config = config or SupervisedConfig()
+    check_counts(obs_size=obs_size, num_actions=num_actions)
     network = MLP((*config.hidden, obs_size + 2), weight_variance=config.weight_variance)
     action_size = num_actions if config.one_hot else 1
     spread = config.spread if config.normalise else 1.0
@@ -196,7 +197,7 @@ def supervised(
         new = jax.tree.map(lambda new, old: jnp.where(any_weight, new, old), new, state)
         return new, {"loss": loss}
 
-    return DynamicsModel(init, predict, update)
+    return DynamicsModel(init, predict, update, num_actions, SupervisedHParams)
 
 
 def _resample(key: Key, size: int, members: int) -> jax.Array:

@@ -82,6 +82,8 @@ def convolve(x: jax.Array, kernel: jax.Array, padding: int) -> jax.Array:
     Returns:
         ``[N, H', W', F]`` with ``H' = H + 2 * padding - k + 1``.
     """
+    if not 0 <= padding < kernel.shape[0]:
+        raise ValueError(f"padding is {padding}: give 0 to {kernel.shape[0] - 1}")
     return _forward(x, kernel, padding)
 
 

@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from jaxdyna.networks.layers import Convolution
+from jaxdyna.networks.layers import Convolution, Sized
 
 
-class LocalDynamics(nn.Module):
+class LocalDynamics(Sized):
     """What happens to a cell follows from the cells around it: convolutions throughout, the action
     by a Hadamard product with the first layer's features, and a channel of ones, which next to the
     padding's zeros tells where the world ends.
@@ -39,7 +39,7 @@ class LocalDynamics(nn.Module):
         return nn.Dense(self.channels)(x), x
 
 
-class EncoderDecoder(nn.Module):
+class EncoderDecoder(Sized):
     """The paper's Fig. 4 (Oh et al. 2015): convolutions and a dense layer, the Hadamard product
     with the action's features, a dense layer and transposed convolutions back, with ReLU and
     BatchNorm after every layer but the first, which has no BatchNorm, and the last, which has
@@ -91,7 +91,7 @@ class EncoderDecoder(nn.Module):
         return Convolution(self.channels, self.kernels[0], self.kernels[0] - 1)(x), joint
 
 
-class LocalReward(nn.Module):
+class LocalReward(Sized):
     """The reward as a sum over cells of what is seen in each after the step. Where there are always
     as many things of a kind many sums are the same, so cells are charged for what they earn, and
     of all explanations the one with the fewest cells wins.

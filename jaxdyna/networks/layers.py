@@ -5,10 +5,26 @@ from __future__ import annotations
 import jax
 from flax import linen as nn
 
+from jaxdyna.fields import check_counts, check_shape
 from jaxdyna.networks.convolution import convolve
 
 
-class MLP(nn.Module):
+class Sized(nn.Module):
+    """A module whose whole numbers, in tuples too, are sizes, at least 1; only ``hidden`` may be
+    empty. `SettingError` where one is none.
+    """
+
+    def __post_init__(self) -> None:
+        for name, field in self.__dataclass_fields__.items():
+            value, kind = getattr(self, name), str(field.type)
+            if kind == "int":
+                check_counts(int(name != "padding"), **{name: value})
+            elif kind.startswith("tuple[int"):
+                check_shape(**{name: value if name == "hidden" else value or 0})
+        super().__post_init__()
+
+
+class MLP(Sized):
     """A multilayer perceptron; the last layer is linear.
 
     Attributes:
@@ -30,7 +46,7 @@ class MLP(nn.Module):
         return nn.Dense(self.features[-1], kernel_init=initial)(x)
 
 
-class Convolution(nn.Module):
+class Convolution(Sized):
     """A convolution of stride 1 with a bias, by `jaxdyna.networks.convolution.convolve`.
 
     Attributes:

@@ -6,12 +6,14 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from jaxdyna.networks.layers import Convolution
+from jaxdyna.networks.layers import Convolution, Sized
 
 
 def to_patches(picture: jax.Array, size: int) -> jax.Array:
     """``[..., H, W, C]`` as ``[..., H / size, W / size, size * size * C]``."""
     *lead, height, width, channels = picture.shape
+    if height % size or width % size:
+        raise ValueError(f"a picture of {height}x{width} has no patches of {size}: give a divisor")
     x = picture.reshape(*lead, height // size, size, width // size, size, channels)
     x = jnp.swapaxes(x, -4, -3)
     return x.reshape(*lead, height // size, width // size, size * size * channels)
@@ -20,12 +22,14 @@ def to_patches(picture: jax.Array, size: int) -> jax.Array:
 def from_patches(patches: jax.Array, size: int) -> jax.Array:
     """The way back, from ``[..., h, w, size * size * C]`` to ``[..., h * size, w * size, C]``."""
     *lead, rows, columns, depth = patches.shape
+    if depth % size**2:
+        raise ValueError(f"{depth} channels are no patches of {size}: give a multiple of {size**2}")
     channels = depth // size**2
     x = jnp.swapaxes(patches.reshape(*lead, rows, columns, size, size, channels), -4, -3)
     return x.reshape(*lead, rows * size, columns * size, channels)
 
 
-class Patched(nn.Module):
+class Patched(Sized):
     """A frame network on patches instead of pixels. Its first layer is then a convolution at a
     stride of ``size`` pixels, with a kernel so many times as large as on pixels; its last one is
     the same, transposed.
@@ -47,7 +51,7 @@ class Patched(nn.Module):
         return from_patches(raw, self.size), features
 
 
-class Discriminator(nn.Module):
+class Discriminator(Sized):
     """Tells true pictures from made ones (Goodfellow et al. 2014): convolutions on ever larger
     patches, leaky ReLU between them, one number for the whole picture.
 

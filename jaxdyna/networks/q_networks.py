@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from jaxdyna.networks.layers import Convolution
+from jaxdyna.networks.layers import Convolution, Sized
 
 
-class ConvolutionalQ(nn.Module):
+class ConvolutionalQ(Sized):
     """Values of actions from a picture by three convolutions and a dense layer (Mnih et al. 2015):
     the first of 2x2 cells at a stride of 2, the others of 3x3 at a stride of 1. The dense layer is
     normalised (Ball et al. 2023): without that many updates a real step drive values to infinity.
@@ -40,7 +40,7 @@ class ConvolutionalQ(nn.Module):
         return dueling(nn.Dense(self.num_actions + 1)(x))
 
 
-class GlimpseQ(nn.Module):
+class GlimpseQ(Sized):
     """Values of actions from a picture: heads that each look for one thing, and a perceptron on
     where that is and on a glimpse of what is around it. A head's map is a mixture of the stack's
     channels; the mean place on it is a feature point (Finn et al. 2016), and a glimpse is read
@@ -76,7 +76,7 @@ class GlimpseQ(nn.Module):
         return dueling(nn.Dense(self.num_actions + 1)(seen))
 
 
-class PerceptronQ(nn.Module):
+class PerceptronQ(Sized):
     """Values of actions from a vector: a perceptron, normalised as `ConvolutionalQ` is.
 
     Attributes:
@@ -108,6 +108,8 @@ def glimpses(x: jax.Array, by_row: jax.Array, by_column: jax.Array, size: int) -
     size, C]``, the place in the middle. ``by_row`` ``[N, H, heads]`` and ``by_column`` say how
     likely each row and column is the place's; where it is uncertain, the mean over places.
     """
+    if size % 2 == 0:
+        raise ValueError(f"size is {size}: give an odd one, for a cell in the middle")
     reach = size // 2
     padded = jnp.pad(x, ((0, 0), (reach, reach), (reach, reach), (0, 0)))
 
@@ -132,7 +134,7 @@ def _newest_colours(key: jax.Array, shape: tuple[int, int], dtype: Any = jnp.flo
     return own + 0.01 * jax.random.normal(key, shape, dtype)
 
 
-class FeaturePointQ(nn.Module):
+class FeaturePointQ(Sized):
     """Values of actions from a perceptron on where each colour is: for games in which every colour
     is one thing. Of each channel of a stack it takes the mean row and column, as feature points do
     (Finn et al. 2016), how that moved from frame to frame, how far the newest frame's colours are

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.fields import check_counts
 from jaxdyna.types import Environment, Key
 
 Value = Callable[[jax.Array, Any, Key], jax.Array]
@@ -63,6 +64,7 @@ def rollout_value(
     """The value of a state by one random episode from it, of ``num_steps`` (static) at the most, as
     in the first Monte Carlo tree searches (Kocsis and Szepesvári 2006).
     """
+    check_counts(num_steps=num_steps)
 
     def value(obs: jax.Array, state: Any, key: Key) -> jax.Array:
         del obs

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from jaxdyna.fields import check_counts
 from jaxdyna.replay.ring import check_type, draw
 from jaxdyna.types import Key, Transition, check_transitions
 
@@ -102,12 +103,10 @@ def init(
     Raises:
         ValueError: where a count is not positive or the channels do not divide into frames.
     """
+    check_counts(capacity=capacity, episodes=episodes, num_frames=num_frames)
     *lead, depth = example.obs.shape
-    if capacity < num_frames or episodes < 1 or num_frames < 1:
-        raise ValueError(
-            f"{capacity} transitions and {episodes} episodes in stacks of {num_frames}: give at "
-            "least one episode, and as many transitions as a stack has frames"
-        )
+    if capacity < num_frames:
+        raise ValueError(f"capacity is {capacity}: give at least a stack's frames, {num_frames}")
     if depth % num_frames:
         raise ValueError(f"{depth} channels are not {num_frames} frames of equal depth")
 

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.fields import check_counts
 from jaxdyna.replay import frames as frame_replay
 from jaxdyna.replay import ring
 from jaxdyna.replay.frames import FrameReplay
@@ -81,6 +82,7 @@ def frames(
 
 def forgetting(memory: Memory, every: int) -> Memory:
     """A memory that is emptied every so many real episodes, as that of the paper's authors."""
+    check_counts(every=every)
 
     def add(held: Any, new: Transition, recorded: Any, number: jax.Array) -> Any:
         return memory.add(memory.forget(held, number % every == 0), new, recorded, number)

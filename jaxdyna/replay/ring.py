@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from jaxdyna.fields import check_counts
 from jaxdyna.types import Key, PyTree
 
 ROW = 256
@@ -47,8 +48,7 @@ def init(capacity: int, example: PyTree) -> Replay:
     Raises:
         ValueError: where ``capacity`` is not positive.
     """
-    if capacity < 1:
-        raise ValueError(f"replay capacity is {capacity}: it must be at least 1")
+    check_counts(capacity=capacity)
     data = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), example)
     return Replay(data=data, added=jnp.int32(0))
 
@@ -88,11 +88,16 @@ def add(replay: Replay, items: PyTree, mask: jax.Array) -> Replay:
 
 
 def check_type(held: jax.Array, new: jax.Array) -> None:
-    """Refuses to store floats as whole numbers: frames in [0, 1] would become zeros.
+    """Refuses to store floats as whole numbers: frames in [0, 1] would become zeros; and items
+    ``new [..., *item]`` of another shape.
 
     Raises:
         TypeError: with what to change.
     """
+    item = held.shape[1:]
+    if new.shape[new.ndim - len(item) :] != item:
+        said = f"the replay holds arrays {list(item)} and is given {list(new.shape)}"
+        raise TypeError(f"{said}: let the last axes be as its example's")
     if not jnp.can_cast(new.dtype, held.dtype, "same_kind"):
         raise TypeError(
             f"the replay holds {held.dtype} and is given {new.dtype}: let the environment return "
@@ -107,7 +112,8 @@ def sample(
     """Draws items with replacement.
 
     Args:
-        replay: a buffer; an empty one yields its zeros, so check ``size`` or mask what comes.
+        replay: a buffer; an empty one yields its zeros where it is traced, so check ``size`` or
+            mask what comes, and else a `ValueError`.
         key: random key.
         shape: how many, as leading axes.
         weight: ``[capacity]``, what each item's probability is in proportion to, as `share_weight`
@@ -116,6 +122,8 @@ def sample(
     Returns:
         Every leaf ``[*shape, ...]``.
     """
+    if not isinstance(replay.added, jax.core.Tracer) and not replay.added:
+        raise ValueError("the replay is empty: add to it before it is sampled")
     return take(replay, draw_positions(replay, key, shape, weight))
 
 
@@ -123,6 +131,8 @@ def draw_positions(
     replay: Replay, key: Key, shape: tuple[int, ...], weight: jax.Array | None = None
 ) -> jax.Array:
     """Where the items of `sample` lie, int32 ``[*shape]``."""
+    if weight is not None and weight.shape != (replay.capacity,):
+        raise ValueError(f"weight is {list(weight.shape)}: give one an item, [{replay.capacity}]")
     if weight is None:
         return jax.random.randint(key, shape, 0, jnp.maximum(replay.size, 1))
     return draw(weight, key, shape)
@@ -169,15 +179,20 @@ def share_weight(held: jax.Array, marked: jax.Array, share: jax.Array | float) -
 
 def draw(weight: jax.Array, key: Key, shape: tuple[int, ...]) -> jax.Array:
     """Positions ``[*shape]`` drawn with probabilities in proportion to ``weight [capacity]``: first
-    a row of them, then one in it, which saves running sums over all.
+    a row of them, then one in it, which saves running sums over all. In a row so unlikely that it
+    has fewer of the 2^23 heights than items, the random number's other bits decide between these.
     """
     rows = jnp.pad(weight, (0, -weight.size % ROW)).reshape(-1, ROW)
     sums = rows.sum(1)
     ends = jnp.cumsum(sums)
-    height = jax.random.uniform(key, shape).reshape(-1) * ends[-1]
+    bits = jax.random.bits(key, shape, jnp.uint32).reshape(-1)
+    height = (bits >> 9) * jnp.float32(2**-23) * ends[-1]  # as jax.random.uniform
+    finer = (bits & 511) * jnp.float32(2**-32) * ends[-1]
     row = jnp.minimum(jnp.searchsorted(ends, height, side="right"), _last(sums > 0))
     within = jnp.maximum(height - (ends - sums)[row], 0.0)  # rounding
     chosen = rows[row]
+    coarse = sums[row] < (chosen > 0).sum(-1) * jnp.float32(2**-23) * ends[-1]
+    within = jnp.where(coarse, within + finer, within)
     column = (jnp.cumsum(chosen, -1) <= within[:, None]).sum(-1)
     column = jnp.minimum(column, _last(chosen > 0))
     return jnp.minimum(row * ROW + column, weight.size - 1).reshape(shape)
