@@ -23,6 +23,7 @@ from jaxdyna.replay import prioritized
 from jaxdyna.replay.frames import FrameReplay
 from jaxdyna.replay.n_step import Window, take_window
 from jaxdyna.replay.prioritized import Prioritized
+from jaxdyna.trees import as_held
 from jaxdyna.types import Agent, Key, Transition, check_transitions
 
 Values = Callable[[Any, jax.Array], jax.Array]
@@ -216,7 +217,8 @@ def _descend(
         )
     )
     learned = (params, target, opt_state, steps, real, fake)
-    return dict(zip(LEARNED, learned, strict=True)), loss
+    held = tuple(getattr(state, name) for name in LEARNED)
+    return dict(zip(LEARNED, as_held(learned, held), strict=True)), loss
 
 
 class Draws(NamedTuple):
@@ -263,4 +265,5 @@ def _weighted(transitions: Transition) -> Transition:
 
 def _where(needed: jax.Array, work: Callable[[], Learned], state: DQNState) -> Learned:
     """What ``work`` returns, or the state as it is."""
-    return jax.lax.cond(needed, work, lambda: (state, {"loss": jnp.float32(0)}))
+    idle = (state, {"loss": jnp.float32(0)})
+    return jax.lax.cond(needed, lambda: as_held(work(), idle), lambda: idle)

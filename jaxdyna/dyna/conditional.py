@@ -8,6 +8,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.trees import as_held, where
+
 
 def where_needed(
     phase: jax.Array | bool, needed: jax.Array | bool, axes: tuple[str, ...],
@@ -30,5 +32,5 @@ def where_needed(
         lambda metric: jnp.full(metric.shape, jnp.nan, metric.dtype), jax.eval_shape(work)[1]
     )
     nothing = (idle, unknown)
-    done = jax.lax.cond(anywhere, work, lambda: nothing)
-    return jax.tree.map(lambda new, old: jnp.where(needed, new, old), done, nothing)
+    done = jax.lax.cond(anywhere, lambda: as_held(work(), nothing), lambda: nothing)
+    return where(needed, done, nothing)
