@@ -85,7 +85,7 @@ def read_curves(path: Path) -> dict[str, dict[str, np.ndarray]]:
 def write_text(path: Path, text: str) -> None:
     """Writes a text file."""
     part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
+    part.write_text(text, encoding="utf-8", errors="surrogateescape")
     part.replace(path)
 
 
