@@ -1,5 +1,5 @@
-"""Installs this tree with the lowest versions that pyproject.toml allows, then with the newest, each
-in a fresh virtual environment, and runs tests in both.
+"""Installs this tree with the lowest versions that pyproject.toml allows, then with the newest,
+each in a fresh virtual environment, and runs tests in both.
 
     python tests/tools/bounds.py                      # both, a few quick tests of every part
     python tests/tools/bounds.py lowest --all         # the whole suite
@@ -9,6 +9,7 @@ in a fresh virtual environment, and runs tests in both.
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import re
 import subprocess
@@ -40,7 +41,7 @@ def lowest(tree: Path) -> list[str]:
         ValueError: where a dependency has no lower bound, or one is declared twice.
     """
     project = tomllib.loads((tree / "pyproject.toml").read_text())["project"]
-    declared = [*project["dependencies"], *sum(project["optional-dependencies"].values(), [])]
+    declared = itertools.chain(project["dependencies"], *project["optional-dependencies"].values())
     pins = {}
     for each in declared:
         found = re.fullmatch(r"([\w.-]+)>=([\w.]+)", each)
@@ -58,10 +59,10 @@ def tested(kind: str, python: str, arguments: list[str]) -> bool:
         subprocess.run([python, "-m", "venv", folder], check=True)
         inside, pins = Path(folder) / "bin" / "python", Path(folder) / "pins.txt"
         pins.write_text("\n".join(lowest(TREE)) if kind == "lowest" else "")
-        install = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-        asked = ["--constraint", pins, "--editable", f"{TREE}[{EXTRAS}]"]
-        if subprocess.run([inside, *install, *asked], check=False).returncode:
-            print(f"{kind}: could not be installed", flush=True)
+        install = [inside, "-m", "pip", "install", "--constraint", pins, f"{TREE}[{EXTRAS}]"]
+        installed = subprocess.run(install, capture_output=True, text=True, check=False)
+        if installed.returncode:
+            print(installed.stdout[-2000:], f"{kind}: could not be installed", sep="\n", flush=True)
             return False
         names = [pin.partition("==")[0] for pin in lowest(TREE)]
         subprocess.run([inside, "-VV"], check=True)
