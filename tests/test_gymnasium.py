@@ -1,10 +1,12 @@
 """The bridge to Gymnasium: registered names, its own checks, batches, and learned worlds."""
 
+import os
 import pickle
 import subprocess
 import sys
 from copy import copy, deepcopy
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium
 import jax
@@ -15,7 +17,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from parts import ENV, MODEL, hparams, perfect_predict
 
-import jaxdyna  # noqa: F401  (registers the environments)
+import jaxdyna
 from jaxdyna.envs import Catch, FrameStack, HostEnv, Maze, register
 from jaxdyna.models import LearnedEnvironment, LearnedParams, uniform_start
 
@@ -221,7 +223,8 @@ def test_a_dream_is_unpickled_where_nothing_of_it_is_registered(tmp_path):
         "import pickle; env = pickle.load(open('env', 'rb'));"
         "assert env.reset(seed=0)[0].tobytes() == open('obs', 'rb').read(); env.step(1)"
     )
-    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    environment = os.environ | {"PYTHONPATH": str(Path(jaxdyna.__file__).parents[1])}
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, check=True)
 
 
 def test_a_dream_shows_what_the_real_environment_would():
