@@ -11,7 +11,7 @@ from test_contract import AGENTS, FRAME_MODELS, MODELS, PLANNERS, learned, q_lea
 
 from jaxdyna import rollout
 from jaxdyna.agents import DQNHParams, ReinforceHParams
-from jaxdyna.dyna import make_train
+from jaxdyna.dyna import Expert, make_train
 from jaxdyna.envs import Catch, CatchParams
 from jaxdyna.losses import discounted_returns
 from jaxdyna.models import AdversarialHParams, PixelHParams, SupervisedHParams
@@ -77,6 +77,13 @@ RUNS = {
     "reinforce": lambda: (DYNA, hparams()),
     "dqn": lambda: (DYNA._replace(agent=q_learner(False)[0]), hparams(agent=DQNHParams())),
     "oracle": lambda: (ORACLE, hparams()),
+    "expert": lambda: (
+        DYNA._replace(
+            agent=AGENTS["cloned_reinforce"]()[0],
+            expert=Expert(lambda state, obs, key, hparams: jnp.argmax(obs) % 2, 2),
+        ),
+        hparams(),
+    ),
 }
 
 
@@ -85,7 +92,8 @@ def test_whole_runs(name):
     dyna, settings = RUNS[name]()
     state, metrics = jax.eval_shape(make_train(dyna, SMALL), jax.random.key(0), wide(settings))
     assert metrics["real_return"].shape == (SMALL.num_episodes,)
-    assert {leaf.dtype for leaf in jax.tree.leaves(state.agent.params)} == {np.dtype("float32")}
+    own = state.agent.agent if name == "expert" else state.agent
+    assert {leaf.dtype for leaf in jax.tree.leaves(own.params)} == {np.dtype("float32")}
 
 
 def test_a_run_learns_from_numbers():
