@@ -25,7 +25,7 @@ QUICK = [
     f"tests/test_{name}.py"
     for name in (
         "architecture", "x64", "gymnasium", "contract", "rollout", "losses", "replay", "sweep",
-        "fields", "cli", "report", "catch",
+        "fields", "cli", "report", "catch", "engine", "sweep_command",
     )
 ]  # fmt: skip
 SAID = """

@@ -60,7 +60,7 @@ def write_curves(path: Path, arms: Mapping[str, Curves]) -> None:
         f"{arm}/{name}": values for arm, curves in arms.items() for name, values in curves.items()
     }
     part = path.with_suffix(".part.npz")
-    np.savez_compressed(part, allow_pickle=False, **flat)
+    np.savez_compressed(part, **flat)  # type: ignore[arg-type]
     part.replace(path)
 
 
