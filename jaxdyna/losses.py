@@ -27,7 +27,8 @@ def discounted_returns(reward: jax.Array, discount: jax.Array | float) -> jax.Ar
         following = reward_t + discount * following
         return following, following
 
-    _, returns = jax.lax.scan(step, jnp.zeros_like(reward[0]), reward, reverse=True, unroll=8)
+    nothing = jnp.zeros((), jnp.result_type(reward, discount))
+    _, returns = jax.lax.scan(step, nothing, reward, reverse=True, unroll=8)
     return returns
 
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxdyna.fields import check_counts, check_kind
+from jaxdyna.trees import where
 from jaxdyna.types import Environment, Key, Transition, check_key, check_part, check_transitions
 
 Record = Callable[[Any, Any, dict[str, Any]], Any]
@@ -81,13 +82,13 @@ def rollout(
             obs=obs,
             action=jnp.where(alive, action, 0),
             reward=jnp.where(alive, reward, 0),
-            next_obs=jnp.where(alive, next_obs, obs),
+            next_obs=where(alive, next_obs, obs),
             terminated=terminated & alive,
             truncated=truncated & alive,
             mask=alive,
         )
         # Frozen after the end: a learned model fed with its own output for ever may overflow.
-        state = jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_state, state)
+        state = where(alive, next_state, state)
         alive = alive & ~(terminated | truncated)
         return (transition.next_obs, state, alive, key), (transition, kept)
 

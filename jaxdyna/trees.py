@@ -1,4 +1,4 @@
-"""Pytrees of arrays and keys, by the names of their leaves."""
+"""Pytrees of arrays and keys: by the names of their leaves, and in one another's types."""
 
 from __future__ import annotations
 
@@ -36,6 +36,25 @@ def stack(trees: Sequence[Any]) -> Any:
     """Trees of one structure as one, with a leading axis."""
     with jax.debug_key_reuse(False):
         return jax.tree.map(lambda *x: (jnp if is_key(x[0]) else np).stack(x), *trees)
+
+
+def as_held(new: Any, old: Any) -> Any:
+    """``new`` at the precision of ``old``: what a loop carries keeps its types under x64 too, where
+    numbers of 64 bits come from all sides. What is of another kind (no whole number) is left alone.
+    """
+
+    def cast(new: jax.Array, old: jax.Array) -> jax.Array:
+        same = is_key(new) or new.dtype == old.dtype
+        if same or not jnp.can_cast(new.dtype, old.dtype, "same_kind"):
+            return new
+        return new.astype(old.dtype)
+
+    return jax.tree.map(cast, new, old)
+
+
+def where(flag: jax.Array | bool, new: Any, old: Any) -> Any:
+    """``new`` where ``flag``, a bool scalar, is true, else ``old``; at the precision of ``old``."""
+    return as_held(jax.tree.map(lambda new, old: jnp.where(flag, new, old), new, old), old)
 
 
 def difference(one: Any, other: Any, tolerance: float = 0) -> str:

@@ -1,6 +1,11 @@
 """Imports point one way, inside the experiments too."""
 
 import ast
+import itertools
+import os
+import subprocess
+import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -69,6 +74,47 @@ def test_rooms_of_experiments_stand_on_each_other(path):
             assert room == here or STOREYS[room] < STOREYS[here], f"{here} imports {module}"
 
 
+def test_what_is_imported_is_declared():
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())["project"]
+    declared = itertools.chain(project["dependencies"], *project["optional-dependencies"].values())
+    names = {each.partition(">=")[0].replace("-", "_") for each in declared}
+    modules = {module.split(".")[0] for path in FILES for module in imports(path)}
+    own = {"jaxdyna", *sys.stdlib_module_names}
+    assert {{"PIL": "pillow"}.get(name, name) for name in modules - own} <= names
+
+
 def test_folders_stay_easy_to_see():
     for folder in {path.parent for path in ROOMS}:
         assert len(list(folder.glob("*.py"))) <= 15, folder
+
+
+TOUCHES = """
+import logging, pkgutil, sys
+from importlib import import_module
+from pathlib import Path
+import matplotlib, jax, optax, flax  # what these set is their own
+from absl import logging as absl
+
+def settings():
+    loggers = [logging.getLogger(name) for name in (None, "absl", "jax", "jaxdyna")]
+    levels = [(logger.level, list(logger.handlers)) for logger in loggers]
+    return matplotlib.rcParams._get_backend_or_none(), absl.get_verbosity(), levels
+
+before = settings()
+import jaxdyna
+for module in pkgutil.walk_packages(jaxdyna.__path__, "jaxdyna."):
+    if not module.name.endswith("__main__"):
+        import_module(module.name)
+jaxdyna.experiments.report.plots.solve_bars(Path("a.png"), {}, 3, "episodes")
+assert settings() == before, (settings(), before)
+assert "matplotlib.pyplot" not in sys.modules
+from jax._src.xla_bridge import backends_are_initialized
+assert not backends_are_initialized()
+"""
+
+
+def test_imports_touch_nothing(tmp_path):
+    """No device, no logging, no backend of matplotlib, which drawing does not choose either."""
+    environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
+    environment["PYTHONPATH"] = str(PACKAGE.parent)
+    subprocess.run([sys.executable, "-c", TOUCHES], cwd=tmp_path, env=environment, check=True)

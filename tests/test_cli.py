@@ -1,6 +1,8 @@
 """What a command line says, up to the first run."""
 
+import contextlib
 import importlib
+import io
 from dataclasses import replace
 
 import pytest
@@ -8,7 +10,7 @@ import pytest
 from jaxdyna import fields
 from jaxdyna.experiments import cartpole, catch
 from jaxdyna.experiments.engine import Experiment, cli
-from jaxdyna.experiments.engine.session import prepared
+from jaxdyna.experiments.engine.session import main, prepared
 
 PROG = "python -m jaxdyna.experiments.it"
 PARTS = [
@@ -116,3 +118,16 @@ def test_a_row_is_described_by_its_own_settings_and_none_is_swept_over_them():
     words = ["--part", "levers", "--sweep", "dyna.num_real_first=2,50"]
     arms = {entry.arm for entry in prepared(cartpole.PARTS, words, PROG).every}
     assert "N = 1" not in arms and len(arms) > 3
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
+def test_a_terminal_need_not_have_every_sign(monkeypatch, encoding):
+    """The help says §, which is not in ASCII, and ≥ is in tables, of which Latin-1 has none."""
+    terminal = io.TextIOWrapper(io.BytesIO(), encoding)
+    monkeypatch.setattr("sys.stdout", terminal)
+    with contextlib.suppress(SystemExit):
+        main(*catch.PARTS, argv=["--help"], prog=PROG)
+    print("≥ 12", flush=True)
+    said = terminal.buffer.getvalue().decode(encoding)
+    assert "--episodes" in said
+    assert said.endswith("≥ 12\n" if encoding == "utf-8" else "\\u2265 12\n")

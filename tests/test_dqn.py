@@ -385,3 +385,15 @@ def test_it_learns_from_vectors():
 def test_what_is_neither_frame_nor_vector_is_refused(shape):
     with pytest.raises(ValueError, match=r"frame_shape is .* of 3, of 1"):
         dqn(shape, 2)
+
+
+def test_runs_vmapped_together_skip_what_none_of_them_needs():
+    """What was a ``cond`` for one run has to stay one for many, not become a choice afterwards."""
+    agent = dqn((SIZE, SIZE, 3), 5, SMALL)
+    state = jax.eval_shape(agent.init, jax.random.key(0), HPARAMS)
+    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), play(0), play(1))
+    for learn in (agent.update, agent.update_fake):
+        program = jax.make_jaxpr(jax.vmap(learn, (None, 0, 0, None)))(
+            state, both, jax.random.split(jax.random.key(0), 2), HPARAMS
+        )
+        assert "cond" in {equation.primitive.name for equation in program.eqns}

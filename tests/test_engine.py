@@ -133,6 +133,12 @@ def test_a_run_is_the_same_in_any_company(block, until):
     assert len(engine.programs) == 1
 
 
+def test_there_is_a_worker_for_every_core():
+    """However many devices JAX has made of the CPU before, as it does here."""
+    assert work.places(None) == [jax.devices()[0]] * work.cores()
+    assert work.places(3) == [jax.devices()[0]] * 3
+
+
 def test_a_run_is_the_same_on_every_device(monkeypatch):
     played = making(2)
     alone = play(Engine(workers=1), [arm(played)])

@@ -1,15 +1,24 @@
 """The bridge to Gymnasium: registered names, its own checks, batches, and learned worlds."""
 
+import os
+import pickle
+import subprocess
+import sys
+from copy import copy, deepcopy
+from dataclasses import replace
+from pathlib import Path
+
 import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from parts import ENV, MODEL, hparams, perfect_predict
 
-import jaxdyna  # noqa: F401  (registers the environments)
-from jaxdyna.envs import HostEnv, register
+import jaxdyna
+from jaxdyna.envs import Catch, FrameStack, HostEnv, Maze, register
 from jaxdyna.models import LearnedEnvironment, LearnedParams, uniform_start
 
 pytestmark = [
@@ -17,6 +26,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:.*Box observation space m.*:UserWarning"),
 ]
 CARTPOLES = {"jaxdyna/CartPole-v0": 200, "jaxdyna/CartPole-v1": 500}
+DREAM = "jaxdyna-test/Learned-v0"
 NAMES = [name for name in gymnasium.registry if name.startswith("jaxdyna/")]
 
 
@@ -108,13 +118,16 @@ def test_vector_environment_resets_in_the_step_after_the_end():
     assert resets >= 6
 
 
-def test_a_learned_world_is_a_gymnasium_environment():
-    key = jax.random.key(0)
+@pytest.fixture(scope="module", autouse=True)
+def dream():
+    """A learned CartPole, registered."""
     world = LearnedEnvironment(ENV, MODEL.predict, uniform_start(-0.05, 0.05))
-    weights = MODEL.init(key, hparams().model).params
-    params = LearnedParams(weights, start=np.zeros(4, np.float32), max_steps=7)
-    register("jaxdyna-test/Learned-v0", world, params)
-    env = gymnasium.make("jaxdyna-test/Learned-v0")
+    weights = MODEL.init(jax.random.key(0), hparams().model).params
+    register(DREAM, world, LearnedParams(weights, start=np.zeros(4, np.float32), max_steps=7))
+
+
+def test_a_learned_world_is_a_gymnasium_environment():
+    env = gymnasium.make(DREAM)
     env.reset(seed=0)
     ends = []
     while not any(ends):
@@ -126,8 +139,12 @@ def test_clear_errors():
     with pytest.raises(ValueError, match=r"call reset\(\) first"):
         HostEnv(ENV).step(0)
     world = LearnedEnvironment(ENV, perfect_predict, uniform_start(-0.1, 0.1))
-    with pytest.raises(ValueError, match="cannot be rendered"):
-        HostEnv(world, world.default_params, render_mode="rgb_array")
+    blind = replace(world, real=Catch())
+    for error in (ValueError, TypeError):  # upon a TypeError Stable-Baselines3 goes on without
+        with pytest.raises(error, match="cannot be rendered"):
+            HostEnv(blind, blind.default_params.replace(start=jnp.zeros(50)), "rgb_array")
+    with pytest.raises(ValueError, match="nothing is registered"):
+        HostEnv("jaxdyna-test/Forgotten-v0")
 
 
 def test_an_action_may_be_of_jax_and_must_be_a_number():
@@ -149,3 +166,106 @@ def test_after_the_end_nothing_is_paid_and_gymnasium_warns():
     np.testing.assert_array_equal(again, obs)
     env.reset(seed=0)
     assert env.step(0)[1] == 1
+
+
+def length(env, limit=1000):
+    """Steps of an episode in which the pole is balanced."""
+    obs, _ = env.reset(seed=1)
+    for step in range(1, limit + 1):
+        action = int(obs[2] + 0.5 * obs[3] + 0.05 * obs[1] + 0.02 * obs[0] > 0)
+        obs, *_, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            return step
+    return None
+
+
+@pytest.mark.parametrize("limit", [7, 510, -1])
+def test_max_episode_steps_is_the_only_clock(limit):
+    env = gymnasium.make("jaxdyna/CartPole-v1", max_episode_steps=limit)
+    assert length(env, 520) == (limit if limit > 0 else None)
+
+
+def test_max_episode_steps_of_many():
+    envs = gymnasium.make_vec("jaxdyna/CartPole-v1", num_envs=2, max_episode_steps=7)
+    envs.reset(seed=0)
+    truncated = [envs.step(np.array([step % 2] * 2))[3].tolist() for step in range(7)]
+    assert truncated == [[False] * 2] * 6 + [[True] * 2]
+    with pytest.raises(ValueError, match="at least 1"):
+        gymnasium.make_vec("jaxdyna/CartPole-v1", max_episode_steps=0)
+
+
+@pytest.mark.parametrize(("name", "limit"), [*CARTPOLES.items(), (DREAM, 7)])
+def test_specs_know_the_limit_and_survive_json(name, limit):
+    spec = gymnasium.spec(name)
+    assert spec.max_episode_steps == limit
+    again = gymnasium.make(EnvSpec.from_json(gymnasium.make(name).spec.to_json()))
+    assert again.spec.max_episode_steps == limit
+    np.testing.assert_array_equal(again.reset(seed=3)[0], gymnasium.make(name).reset(seed=3)[0])
+
+
+@pytest.mark.parametrize("name", ["jaxdyna/CartPole-v0", DREAM])
+@pytest.mark.parametrize("copied", [lambda env: pickle.loads(pickle.dumps(env)), deepcopy, copy])
+def test_environments_are_pickled_and_copied_in_the_midst_of_an_episode(name, copied):
+    env = gymnasium.make(name).unwrapped
+    env.reset(seed=0)
+    env.step(0)
+    again = copied(env)
+    for one, other in zip(env.step(1)[:4], deepcopy(again).step(1)[:4], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_dream_is_unpickled_where_nothing_of_it_is_registered(tmp_path):
+    env = gymnasium.make(DREAM)
+    obs, _ = env.reset(seed=0)
+    (tmp_path / "env").write_bytes(pickle.dumps(env))
+    (tmp_path / "obs").write_bytes(obs.tobytes())
+    code = (
+        "import pickle; env = pickle.load(open('env', 'rb'));"
+        "assert env.reset(seed=0)[0].tobytes() == open('obs', 'rb').read(); env.step(1)"
+    )
+    environment = os.environ | {"PYTHONPATH": str(Path(jaxdyna.__file__).parents[1])}
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, check=True)
+
+
+def test_a_dream_shows_what_the_real_environment_would():
+    """As Stable-Baselines3's ``make_vec_env`` asks for it."""
+    env = gymnasium.make(DREAM, render_mode="rgb_array")
+    obs, _ = env.reset(seed=0)
+    seen = ENV.render(ENV.state_of(obs), ENV.default_params)
+    np.testing.assert_array_equal(env.render(), seen)
+    assert len(gymnasium.make_vec(DREAM, num_envs=2, render_mode="rgb_array").metadata) == 3
+
+
+def test_a_dream_of_frames_shows_its_newest():
+    stack = FrameStack(Maze(size=4, num_obstacles=1))
+    world = LearnedEnvironment(stack, lambda *inputs: None, lambda key, start: start)
+    obs, _ = stack.reset(jax.random.key(0), stack.default_params)
+    frame = world.render(world.state_of(obs.at[..., :9].set(0)), None)
+    assert frame.shape == (256, 256, 3) and frame.dtype == np.uint8
+    np.testing.assert_array_equal(frame[::64, ::64], obs[..., 9:])
+
+
+@pytest.mark.parametrize("name", ["jaxdyna/CartPole-v0", DREAM])
+def test_an_episode_begins_within_given_bounds(name):
+    env, theirs = gymnasium.make(name), gymnasium.make("CartPole-v1")
+    bounds = {"low": -0.3, "high": 0.2}
+    obs, _ = env.reset(seed=4, options=bounds)
+    np.testing.assert_allclose(obs, theirs.reset(seed=4, options=bounds)[0], rtol=1e-6)
+    after = env.step(1)[0]
+    if name != DREAM:
+        np.testing.assert_allclose(after, theirs.step(1)[0], rtol=1e-4, atol=1e-6)
+    assert (abs(env.reset(seed=4, options={})[0]) <= 0.05).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("jaxdyna/CartPole-v0", {"low": 1, "high": 0}),
+        ("jaxdyna/CartPole-v0", {"start": 0}),
+        ("jaxdyna/Maze-v0", {"low": 0, "high": 1}),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(name, options):
+    for env in (gymnasium.make(name), gymnasium.make_vec(name, num_envs=2)):
+        with pytest.raises(ValueError, match="options"):
+            env.reset(options=options)

@@ -21,6 +21,7 @@ from jaxdyna.fields import check, setting
 from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.replay import ring
 from jaxdyna.replay.ring import Replay
+from jaxdyna.trees import where
 from jaxdyna.types import Agent, Key, Transition, check_part, check_transitions
 
 Loss = Callable[[jax.Array, jax.Array], jax.Array]
@@ -160,8 +161,7 @@ def cloning(
             params = own.params
         params, loss = imitate(params, shown, key_imitate)
         new = CloningState(own, shown, params, jnp.bool_(True))
-        new = jax.tree.map(lambda new, old: jnp.where(seen.any(), new, old), new, state)
-        return new, {"loss": loss}
+        return where(seen.any(), new, state), {"loss": loss}
 
     return _lifted(agent, init, update_expert, install)
 

@@ -24,6 +24,7 @@ from jaxdyna.replay import prioritized
 from jaxdyna.replay.frames import FrameReplay
 from jaxdyna.replay.n_step import Window, take_window
 from jaxdyna.replay.prioritized import Prioritized
+from jaxdyna.trees import as_held, where
 from jaxdyna.types import Agent, Key, Transition, check_transitions
 
 Values = Callable[[Any, jax.Array], jax.Array]
@@ -226,7 +227,8 @@ def _descend(
         )
     )
     learned = (params, target, opt_state, steps, real, fake)
-    return dict(zip(LEARNED, learned, strict=True)), loss
+    held = tuple(getattr(state, name) for name in LEARNED)
+    return dict(zip(LEARNED, as_held(learned, held), strict=True)), loss
 
 
 class Draws(NamedTuple):
@@ -272,5 +274,20 @@ def _weighted(transitions: Transition) -> Transition:
 
 
 def _where(needed: jax.Array, work: Callable[[], Learned], state: DQNState) -> Learned:
-    """What ``work`` returns, or the state as it is."""
-    return jax.lax.cond(needed, work, lambda: (state, {"loss": jnp.float32(0)}))
+    """What ``work`` returns, or the state as it is. Under ``vmap`` the work is skipped where no run
+    needs it.
+    """
+    idle = (state, {"loss": jnp.float32(0)})
+    done = jax.lax.cond(_anywhere(needed), lambda: as_held(work(), idle), lambda: idle)
+    return where(needed, done, idle)
+
+
+@jax.custom_batching.custom_vmap
+def _anywhere(needed: jax.Array) -> jax.Array:
+    """Whether any of the runs that are vmapped together needs it; the same for all of them."""
+    return needed
+
+
+@_anywhere.def_vmap
+def _anywhere_of(size: int, batched: list[bool], needed: jax.Array) -> tuple[jax.Array, bool]:
+    return _anywhere(needed.any() if batched[0] else needed), False

@@ -15,6 +15,7 @@ from jaxdyna.fields import check, check_counts, check_shape, setting
 from jaxdyna.losses import discounted_returns, policy_gradient, standardise
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
+from jaxdyna.trees import where
 from jaxdyna.types import Agent, Key, Transition, check_transitions
 
 
@@ -143,8 +144,6 @@ def reinforce(
         mean_weight = weight.sum() / jnp.maximum(valid.sum(), 1)
         updates = jax.tree.map(lambda update: update * mean_weight, updates)
         new = Trained(optax.apply_updates(state.params, updates), opt_state)
-        any_valid = valid.any()
-        new = jax.tree.map(lambda new, old: jnp.where(any_valid, new, old), new, state)
-        return new, {"loss": loss}
+        return where(valid.any(), new, state), {"loss": loss}
 
     return Agent(init, act, update, num_actions=num_actions, hparams=ReinforceHParams)

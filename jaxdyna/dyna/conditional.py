@@ -9,6 +9,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.trees import as_held, where
+
 
 def where_needed(
     phase: jax.Array | bool, needed: jax.Array | bool, axes: tuple[str, ...],
@@ -31,8 +33,8 @@ def where_needed(
         lambda metric: jnp.full(metric.shape, nothing(), metric.dtype), jax.eval_shape(work)[1]
     )
     undone = (idle, unknown)
-    done = jax.lax.cond(anywhere, work, lambda: undone)
-    return jax.tree.map(lambda new, old: jnp.where(needed, new, old), done, undone)
+    done = jax.lax.cond(anywhere, lambda: as_held(work(), undone), lambda: undone)
+    return where(needed, done, undone)
 
 
 def nothing() -> float:

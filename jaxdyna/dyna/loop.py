@@ -219,7 +219,7 @@ def _learn_policy(dyna, config, agent, real, episode, key, hparams) -> tuple[Any
 
     def learn(update):
         new, losses = update(agent, weighted, key, hparams.agent)
-        return new, losses["loss"]
+        return new, jnp.asarray(losses["loss"], jnp.float32)
 
     if dyna.expert is None or dyna.agent.update_expert is None:
         agent, loss = learn(dyna.agent.update)

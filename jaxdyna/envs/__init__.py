@@ -21,4 +21,6 @@ register("jaxdyna/CartPole-v0", CartPole(), CartPoleParams(max_steps=200), rewar
 register("jaxdyna/CartPole-v1", CartPole(), CartPoleParams(max_steps=500), reward_threshold=475.0)
 register("jaxdyna/Maze-v0", Maze(), MazeParams())
 register("jaxdyna/Pong-v0", Pong(), PongParams())
-register("jaxdyna/Catch-v0", Catch(), CatchParams(), reward_threshold=0.9)
+register(
+    "jaxdyna/Catch-v0", Catch(), CatchParams(), reward_threshold=0.9, max_episode_steps=None
+)  # every episode terminates

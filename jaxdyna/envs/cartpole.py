@@ -101,6 +101,11 @@ class CartPole(Discrete):
         truncated = ~terminated & (state.time >= params.max_steps)
         return _observe(state), state, jnp.float32(1), terminated, truncated, {}
 
+    def state_of(self, obs: jax.Array) -> CartPoleState:
+        """The state that is seen as ``obs [4]`` when an episode starts."""
+        x, x_dot, theta, theta_dot = obs
+        return CartPoleState(x, x_dot, theta, theta_dot, time=jnp.int32(0))
+
     def render(self, state: CartPoleState, params: CartPoleParams) -> jax.Array:
         """A side view, uint8 ``[200, 300, 3]``: cart, pole, axle and track on white."""
         width, height, cart_height = 300, 200, 60.0

@@ -6,9 +6,11 @@ the host, so that other libraries can train in it.
 
 from __future__ import annotations
 
+import pickle
 from functools import partial
 from typing import Any, ClassVar
 
+import cloudpickle
 import gymnasium
 import jax
 import jax.numpy as jnp
@@ -43,6 +45,10 @@ class Pictures(Discrete):
         return spaces.Box(0, 255, self.frame_shape, np.uint8)
 
 
+REGISTERED: dict[str, tuple[Environment, Any]] = {}
+"""Environments and their parameters, by name."""
+
+
 def register(env_id: str, env: Environment, params: Any, **spec: Any) -> None:
     """Registers an environment for ``gymnasium.make`` and ``gymnasium.make_vec``.
 
@@ -50,15 +56,17 @@ def register(env_id: str, env: Environment, params: Any, **spec: Any) -> None:
         env_id: such as ``"jaxdyna/CartPole-v0"``.
         env: the environment.
         params: its parameters; for a learned environment the trained weights.
-        **spec: further fields of Gymnasium's ``EnvSpec``, such as ``reward_threshold``.
+        **spec: further fields of Gymnasium's ``EnvSpec``, such as ``reward_threshold``;
+            ``max_episode_steps`` is ``params.max_steps`` unless given.
     """
     _checked(env, params)
+    REGISTERED[env_id] = env, params
     gymnasium.register(
         env_id,
         entry_point=f"{__name__}:HostEnv",
         vector_entry_point=f"{__name__}:HostVectorEnv",
-        kwargs={"env": env, "params": params},
-        **spec,
+        kwargs={"env": env_id},  # nothing that could not become JSON
+        **{"max_episode_steps": int(params.max_steps)} | spec,
     )
 
 
@@ -91,31 +99,91 @@ def check_atari() -> None:
     gymnasium.register_envs(ale_py)
 
 
-class HostEnv(gymnasium.Env[np.ndarray, np.int64]):
-    """One environment behind Gymnasium's interface; time limits are the environment's own.
+class ByValue:
+    """An environment, pickled by value where it has no name to be found by, as the functions of a
+    learned one; copies share it and with it the compiled programs.
+    """
+
+    def __init__(self, env: Environment):
+        self.env = env
+
+    def __deepcopy__(self, memo: dict) -> ByValue:
+        return self
+
+    def __reduce__(self) -> tuple:
+        return _by_value, (cloudpickle.dumps(self.env),)
+
+
+def _by_value(pickled: bytes) -> ByValue:
+    return ByValue(pickle.loads(pickled))
+
+
+class Host:
+    """What one environment and a vector of them share.
 
     Args:
-        env: the environment.
-        params: its parameters, by default ``env.default_params``.
+        env: the environment, or the name that it is registered by.
+        params: its parameters, by default those registered, or ``env.default_params``.
         render_mode: None or ``"rgb_array"``.
+
+    Raises:
+        CannotRenderError: with ``"rgb_array"`` where the environment has no frames to show.
+        ValueError: where nothing is registered by this name.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
 
-    def __init__(self, env: Environment, params: Any = None, render_mode: str | None = None):
+    def __init__(self, env: Environment | str, params: Any = None, render_mode: str | None = None):
+        if isinstance(env, str):
+            if env not in REGISTERED:
+                said = "call jaxdyna.envs.register(name, env, params) in this process first"
+                raise ValueError(f"nothing is registered by the name {env!r}: {said}")
+            env, registered = REGISTERED[env]
+            params = registered if params is None else params
         self.env = env
         self.params = _checked(env, params)
-        self.render_mode = _check_render_mode(env, render_mode)
-        self.observation_space = env.observation_space(self.params)
-        self.action_space = env.action_space(self.params)
+        self.render_mode = _check_render_mode(env, self.params, render_mode)
         self._state: Any = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "env": ByValue(self.env)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, env=state["env"].env)
+
+
+class HostEnv(Host, gymnasium.Env[np.ndarray, np.int64]):
+    """One environment behind Gymnasium's interface; for the arguments see `Host`.
+
+    Its own ``params.max_steps`` is the time limit, unless it is made by its name: then Gymnasium's
+    ``TimeLimit`` is, by ``max_episode_steps``.
+    """
+
+    def __init__(self, env: Environment | str, params: Any = None, render_mode: str | None = None):
+        super().__init__(env, params, render_mode)
+        self.observation_space = self.env.observation_space(self.params)
+        self.action_space = self.env.action_space(self.params)
+        self._limited = not isinstance(env, str)
+        self._steps = 0
         self._end: tuple[np.ndarray, bool, bool] | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Starts an episode; ``seed`` makes it and all that follows reproducible."""
+        """Starts an episode; ``seed`` makes it and all that follows reproducible. With ``options``
+        low and high, every number of its first observation is uniform between them, as in
+        Gymnasium's own CartPole.
+
+        Raises:
+            ValueError: where there are other options, or the environment cannot begin so.
+        """
         super().reset(seed=seed)
-        obs, self._state = _reset(self.env, self.params, _draw_seeds(self.np_random, 1)[0])
-        self._end = None
+        if options:
+            low, high = _bounds(self.env, options)
+            space = self.observation_space
+            obs = self.np_random.uniform(low, high, space.shape).astype(space.dtype)
+            self._state = self.env.state_of(jnp.asarray(obs))  # type: ignore[attr-defined]
+        else:
+            obs, self._state = _reset(self.env, self.params, _draw_seeds(self.np_random, 1)[0])
+        self._end, self._steps = None, 0
         return np.array(obs), {}
 
     def step(self, action: np.int64):
@@ -137,6 +205,9 @@ class HostEnv(gymnasium.Env[np.ndarray, np.int64]):
         obs, self._state, reward, terminated, truncated, info = _step(
             self.env, self.params, seed, self._state, jnp.asarray(chosen)
         )
+        self._steps += 1
+        if self._steps >= self.params.max_steps and not self._limited:
+            truncated = False  # the limit is TimeLimit's
         if terminated or truncated:
             self._end = (np.array(obs), bool(terminated), bool(truncated))
         return np.array(obs), float(reward), bool(terminated), bool(truncated), _arrays(info)
@@ -148,35 +219,40 @@ class HostEnv(gymnasium.Env[np.ndarray, np.int64]):
         return np.asarray(_render(self.env, self.params, self._state))
 
 
-class HostVectorEnv(VectorEnv):
+class HostVectorEnv(Host, VectorEnv):
     """``num_envs`` copies of a `HostEnv` stepped in one jitted call; an ended one resets in the
-    following step.
+    following step. ``max_episode_steps`` stands in for ``params.max_steps``; for the other
+    arguments see `Host`.
     """
 
-    metadata = {
-        "render_modes": ["rgb_array"],
-        "render_fps": 50,
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
-    }
+    metadata = Host.metadata | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
-        self, env: Environment, params: Any = None, num_envs: int = 1,
-        render_mode: str | None = None,
+        self, env: Environment | str, params: Any = None, num_envs: int = 1,
+        render_mode: str | None = None, max_episode_steps: int | None = None,
     ):  # fmt: skip
         check_counts(num_envs=num_envs)
-        self.env = env
-        self.params = _checked(env, params)
+        super().__init__(env, params, render_mode)
         self.num_envs = num_envs
-        self.render_mode = _check_render_mode(env, render_mode)
-        self.single_observation_space = env.observation_space(self.params)
-        self.single_action_space = env.action_space(self.params)
+        if max_episode_steps is not None:
+            if max_episode_steps < 1:
+                raise ValueError(f"max_episode_steps is {max_episode_steps}: give at least 1")
+            change = getattr(self.params, "replace", None) or self.params._replace
+            self.params = change(max_steps=max_episode_steps)
+        self.single_observation_space = self.env.observation_space(self.params)
+        self.single_action_space = self.env.action_space(self.params)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._state: Any = None
         self._ended = np.zeros(num_envs, bool)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Starts an episode in every copy; ``seed`` is one number for all that follows."""
+        """Starts an episode in every copy; ``seed`` is one number for all that follows.
+
+        Raises:
+            ValueError: where there are options: no copy takes any.
+        """
+        if options:
+            raise ValueError(f"options {sorted(options)}: give them to a single environment")
         super().reset(seed=seed)
         seeds = _draw_seeds(self.np_random, self.num_envs)
         obs, self._state = _vector_reset(self.env, self.params, seeds)
@@ -217,15 +293,32 @@ def _checked(env: Environment, params: Any) -> Any:
     return params
 
 
-def _check_render_mode(env: Environment, render_mode: str | None) -> str | None:
+class CannotRenderError(ValueError, TypeError):
+    """No frames: a `TypeError` too, upon which Stable-Baselines3 goes on without them."""
+
+
+def _check_render_mode(env: Environment, params: Any, render_mode: str | None) -> str | None:
     if render_mode not in (None, "rgb_array"):
         raise ValueError(f"render_mode is {render_mode!r}: there are None and 'rgb_array'")
-    if render_mode is not None and not hasattr(env, "render"):
-        raise ValueError(
-            f"{type(env).__name__} cannot be rendered: use render_mode=None, or give it a method "
-            "render(state, params) that returns a frame"
-        )
+    if render_mode is not None:
+        try:
+            jax.eval_shape(
+                lambda key: _render(env, params, env.reset(key, params)[1]), jax.random.key(0)
+            )
+        except AttributeError as error:
+            raise CannotRenderError(
+                f"{type(env).__name__} cannot be rendered: use render_mode=None, or give it a "
+                f"method render(state, params) that returns a frame ({error})"
+            ) from error
     return render_mode
+
+
+def _bounds(env: Environment, options: dict[str, Any]) -> tuple[float, float]:
+    known = ["high", "low"] if hasattr(env, "state_of") else []
+    if sorted(options) != known or not options["low"] <= options["high"]:
+        takes = "low and high, in this order of size" if known else "no options"
+        raise ValueError(f"options are {options}: {type(env).__name__} takes {takes}")
+    return options["low"], options["high"]
 
 
 def _draw_seeds(generator: np.random.Generator, count: int) -> np.ndarray:

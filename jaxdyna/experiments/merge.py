@@ -37,6 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Raises:
         SystemExit: with code 2 and one line where the folders are not those of one run.
     """
+    cli.spell_out()
     argv = list(sys.argv[1:] if argv is None else argv)
     if not argv or {"-h", "--help"} & set(argv):
         print(f"usage: {PROG} DIR... --out DIR\n\n{Call.__doc__}")

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from jaxdyna.envs.maze import enlarge
 from jaxdyna.fields import SettingError, check, setting
 from jaxdyna.types import Environment, Key, Prediction
 
@@ -134,7 +135,11 @@ class LearnedEnvironment:
     def reset(self, key: Key, params: LearnedParams) -> tuple[jax.Array, LearnedState]:
         """Draws a start state."""
         obs = self.start(key, params.start)
-        return obs, LearnedState(obs, time=jnp.int32(0))
+        return obs, self.state_of(obs)
+
+    def state_of(self, obs: jax.Array) -> LearnedState:
+        """The state that is seen as ``obs [*obs]`` when an episode starts."""
+        return LearnedState(obs, time=jnp.int32(0))
 
     def step(
         self, key: Key, state: LearnedState, action: jax.Array, params: LearnedParams
@@ -149,6 +154,17 @@ class LearnedEnvironment:
         truncated = truncated & jnp.logical_not(terminated)
         info = {"prediction": prediction}
         return state.obs, state, prediction.reward, terminated, truncated, info
+
+    def render(self, state: LearnedState, params: LearnedParams) -> jax.Array:
+        """Of a stack its newest frame, enlarged; else the real environment's frame of the state
+        that is seen so, by its ``state_of(obs)``. Bytes ``[height, width, 3]``.
+        """
+        real: Any = self.real
+        if state.obs.ndim != 3:
+            return real.render(real.state_of(state.obs), real.default_params)
+        channels = state.obs.shape[-1] // getattr(real, "num_frames", 1)
+        frame = jnp.broadcast_to(state.obs[..., -channels:], (*state.obs.shape[:2], 3))
+        return enlarge(frame, max(1, 256 // max(frame.shape)))
 
     def observation_space(self, params: LearnedParams) -> Any:
         """As the real one's."""

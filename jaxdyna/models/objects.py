@@ -26,6 +26,7 @@ from jaxdyna.networks.objects import (
     rectangles_of,
 )
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
+from jaxdyna.trees import where
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions
 
 
@@ -183,8 +184,7 @@ def _learner(
         updates, opt_state = optimizer.update(grads, state.opt_state, state.params["params"])
         trained = optax.apply_updates(state.params["params"], updates)
         new = Trained({"params": trained}, opt_state)
-        new = jax.tree.map(lambda new, old: jnp.where((weight > 0).any(), new, old), new, state)
-        return new, {"loss": loss, **means}
+        return where((weight > 0).any(), new, state), {"loss": loss, **means}
 
     return update
 

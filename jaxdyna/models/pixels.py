@@ -17,6 +17,7 @@ from jaxdyna.losses import PixelLoss, bce, l1, l2
 from jaxdyna.models.adversarial import AdversarialHParams, Adversary, gan_adam
 from jaxdyna.networks import FrameModel, LocalDynamics, LocalReward
 from jaxdyna.optimizers import Optimizer, optimizer_setting
+from jaxdyna.trees import where
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions
 
 
@@ -181,8 +182,7 @@ def _learner(
             other, seen = adversary.update(state.adversary, made, truth, weight, hparams)
             means |= seen
         new = PixelState({**state.params, **settled, "params": trained}, opt_state, other)
-        new = jax.tree.map(lambda new, old: jnp.where((weight > 0).any(), new, old), new, state)
-        return new, {"loss": loss, **means}
+        return where((weight > 0).any(), new, state), {"loss": loss, **means}
 
     return update
 

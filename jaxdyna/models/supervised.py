@@ -15,6 +15,7 @@ from jaxdyna.fields import check, check_counts, setting
 from jaxdyna.losses import transition_loss
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
+from jaxdyna.trees import as_held, where
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions
 
 
@@ -147,7 +148,7 @@ def supervised(
         target = scaled * spread * params.targets.std + params.targets.mean
         next_obs = obs + target if config.delta else target
         return Prediction(
-            next_obs=next_obs.mean(0),
+            next_obs=as_held(next_obs.mean(0), obs),
             reward=reward.mean(0),
             terminated=jax.nn.sigmoid(logit).mean(0),
             uncertainty=spread * scaled.std(axis=0).max(),
@@ -193,9 +194,7 @@ def supervised(
         updates, opt_state = optimizer.update(grads, state.opt_state, params.network)
         params = replace(params, network=optax.apply_updates(params.network, updates))
         new = Trained(params, opt_state)
-        any_weight = (weight > 0).any()
-        new = jax.tree.map(lambda new, old: jnp.where(any_weight, new, old), new, state)
-        return new, {"loss": loss}
+        return where((weight > 0).any(), new, state), {"loss": loss}
 
     return DynamicsModel(init, predict, update, num_actions, SupervisedHParams)
 

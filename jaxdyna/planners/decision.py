@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxdyna.fields import check_counts
+from jaxdyna.trees import as_held, where
 from jaxdyna.types import Environment, Key
 
 Value = Callable[[jax.Array, Any, Key], jax.Array]
@@ -74,10 +75,11 @@ def rollout_value(
             key, key_action, key_step = jax.random.split(key, 3)
             action = jax.random.randint(key_action, (), 0, env.num_actions)
             _, new, reward, terminated, truncated, _ = env.step(key_step, state, action, env_params)
-            total = total + jnp.where(alive, weight * reward, 0.0)
+            total = as_held(total + jnp.where(alive, weight * reward, 0.0), total)
             # a learned world that goes on after its end may leave all numbers behind
-            state = jax.tree.map(lambda new, old: jnp.where(alive, new, old), new, state)
-            return (state, alive & ~(terminated | truncated), discount * weight, total, key), None
+            state = where(alive, new, state)
+            weight = as_held(discount * weight, weight)
+            return (state, alive & ~(terminated | truncated), weight, total, key), None
 
         start = (state, jnp.bool_(True), jnp.float32(1), jnp.float32(0), key)
         return jax.lax.scan(step, start, length=num_steps)[0][3]

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from jaxdyna.fields import check, setting
 from jaxdyna.planners.decision import Decision, Guide, Planner
+from jaxdyna.trees import where
 from jaxdyna.types import Environment, Key
 
 
@@ -110,14 +111,14 @@ def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable
                 key_step, node.state, action, env_params
             )
             new = Node(obs, state, ~(terminated | truncated), terminated)
-            new = jax.tree.map(lambda new, old: jnp.where(node.alive, new, old), new, node)
+            new = where(node.alive, new, node)
             output = mctx.RecurrentFnOutput(
                 reward=jnp.where(node.alive, reward, 0.0),
                 discount=jnp.where(node.alive, config.discount * (1.0 - terminated), 1.0),
                 prior_logits=prior(new.obs),
                 value=jnp.where(new.ended, 0.0, value(new, key_value)),  # which need be no number
             )
-            return output, new
+            return _singles(output), new
 
         def recurrent(_: Any, key: Key, action: jax.Array, node: Node):
             keys = jax.random.split(jax.random.wrap_key_data(key), action.shape[0])
@@ -125,9 +126,8 @@ def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable
 
         key_value, key_search = jax.random.split(key)
         node = Node(obs, state, jnp.bool_(True), jnp.bool_(False))
-        root = mctx.RootFnOutput(
-            prior_logits=prior(obs), value=value(node, key_value), embedding=node
-        )
+        hoped, odds = _singles((value(node, key_value), prior(obs)))
+        root = mctx.RootFnOutput(prior_logits=odds, value=hoped, embedding=node)
         raw = jax.random.key_data(key_search)  # mctx draws twice from one: a typed key refuses
         found = search(raw, jax.tree.map(lambda leaf: leaf[None], root), recurrent)
         tree = found.search_tree
@@ -135,6 +135,11 @@ def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable
         return Decision(action, tree.qvalues(jnp.zeros(1, jnp.int32))[0, action])
 
     return plan
+
+
+def _singles(numbers: Any) -> Any:
+    """In float32, whatever x64, a world and a guide say: mctx wants all nodes of the same type."""
+    return jax.tree.map(lambda number: jnp.asarray(number, jnp.float32), numbers)
 
 
 def require_mctx() -> Any:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 
 from jaxdyna.fields import SettingError, check, setting
 from jaxdyna.planners.decision import Decision, Guide, Planner, Value
+from jaxdyna.trees import as_held, where
 from jaxdyna.types import Environment, Key
 
 
@@ -101,14 +102,10 @@ def score(
         next_obs, next_state, reward, terminated, truncated, _ = env.step(
             key_now, state, action, env_params
         )
-        total = total + jnp.where(alive, weight * reward, 0.0)
-        weight = jnp.where(alive, discount * weight, weight)
+        total = as_held(total + jnp.where(alive, weight * reward, 0.0), total)
+        weight = where(alive, discount * weight, weight)
         ended = ended | (alive & terminated)
-        seen, state = jax.tree.map(
-            lambda new, old: jnp.where(alive, new, old),
-            (next_obs if value else (), next_state),
-            (seen, state),
-        )
+        seen, state = where(alive, (next_obs if value else (), next_state), (seen, state))
         return (seen, state, alive & ~(terminated | truncated), ended, weight, total, key), None
 
     flags, numbers = (jnp.bool_(True), jnp.bool_(False)), (jnp.float32(1), jnp.float32(0))
@@ -159,8 +156,7 @@ def cross_entropy(env: Environment, config: CrossEntropyConfig) -> Planner:
             values, rows = jax.lax.top_k(returns, config.elites)
             new = Decision(actions[rows[0], 0].astype(jnp.int32), values[0])
             better = new.value > best.value
-            best = jax.tree.map(lambda new, old: jnp.where(better, new, old), new, best)
-            return best, jax.nn.one_hot(actions[rows], num_actions).mean(0)
+            return where(better, new, best), jax.nn.one_hot(actions[rows], num_actions).mean(0)
 
         def again(carry, _):
             best, frequency, key = carry

@@ -151,9 +151,10 @@ def add(replay: FrameReplay, episodes: Transition, beside: Any = ()) -> FrameRep
     number = replay.added + jnp.cumsum(mask) - 1
     slot = jnp.where(mask, number % replay.capacity, replay.capacity)  # out of bounds: dropped
 
-    def write(held: jax.Array, new: jax.Array) -> jax.Array:
+    def write(held: jax.Array, new: jax.Array, at: jax.Array = slot) -> jax.Array:
         check_type(held, new)
-        return held.at[slot].set(new.reshape(-1, *held.shape[1:]), mode="drop")
+        new = new.reshape(at.size, *held.shape[1:]).astype(held.dtype)
+        return held.at[at].set(new, mode="drop")
 
     numbers = replay.episodes_added + jnp.arange(count)
     row = numbers % replay.last_frame.shape[0]
@@ -164,11 +165,11 @@ def add(replay: FrameReplay, episodes: Transition, beside: Any = ()) -> FrameRep
         rest={name: write(replay.rest[name], leaf) for name, leaf in _rest(episodes).items()},
         time=write(replay.time, jnp.broadcast_to(jnp.arange(steps), (count, steps))),
         episode=write(replay.episode, jnp.broadcast_to(numbers[:, None], (count, steps))),
-        older=replay.older.at[row].set(episodes.obs[:, 0, ..., :-channels]),
-        last_frame=replay.last_frame.at[row].set(last[..., -channels:]),
+        older=write(replay.older, episodes.obs[:, 0, ..., :-channels], row),
+        last_frame=write(replay.last_frame, last[..., -channels:], row),
         added=replay.added + mask.sum(dtype=jnp.int32),
         episodes_added=replay.episodes_added + count,
-        first=replay.first.at[row].set(replay.added + jnp.cumsum(lengths) - lengths),
+        first=write(replay.first, replay.added + jnp.cumsum(lengths) - lengths, row),
         beside=jax.tree.map(write, replay.beside, beside),
     )
 

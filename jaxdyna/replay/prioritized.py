@@ -73,4 +73,5 @@ def reprioritise(
     slot = jnp.where(which, numbers % capacity, capacity)  # out of bounds: dropped
     errors = jnp.where(jnp.isfinite(errors), jnp.abs(errors), 0.0)  # one would be drawn for ever
     priority = (errors + SMALLEST_ERROR) ** exponent
+    priority = priority.astype(held.priority.dtype)
     return replace(held, priority=held.priority.at[slot].set(priority, mode="drop"))

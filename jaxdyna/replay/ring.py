@@ -79,7 +79,8 @@ def add(replay: Replay, items: PyTree, mask: jax.Array) -> Replay:
 
     def write(held, new):
         check_type(held, new)
-        return held.at[position].set(new.reshape(-1, *held.shape[1:]), mode="drop")
+        new = new.reshape(-1, *held.shape[1:]).astype(held.dtype)
+        return held.at[position].set(new, mode="drop")
 
     data = jax.tree.map(write, replay.data, items)
     added = replay.added + mask.sum(dtype=jnp.int32)

@@ -195,6 +195,14 @@ def _flag(leaf: Leaf, width: int, words: Sequence[str], none: str) -> list[str]:
             *indented(leaf.help, initial_indent=" " * 6)]  # fmt: skip
 
 
+def spell_out() -> None:
+    """What standard output has no sign for, such as ≥ in Latin alphabets, is printed as its code
+    instead of ending a finished run.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.encoding.startswith("utf"):
+        sys.stdout.reconfigure(errors="backslashreplace")
+
+
 def fail(message: str, prog: str) -> NoReturn:
     """Ends the process with code 2 and one line."""
     print(f"{prog}: error: {' '.join(message.split())}", file=sys.stderr)

@@ -71,6 +71,7 @@ def main(
     Raises:
         SystemExit: with code 2 and one line on bad input, with 0 after ``--help``.
     """
+    cli.spell_out()
     if argv is None:  # a process of its own: tracing need not search what was imported for garbage
         gc.freeze()
         argv = sys.argv[1:]

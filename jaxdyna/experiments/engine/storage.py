@@ -117,7 +117,7 @@ def write_arrays(
     save: Any = np.savez_compressed if compressed else np.savez
     with written(path, before) as part:
         with part.open("wb") as file:
-            save(file, allow_pickle=False, **arrays)
+            save(file, **arrays)
         with zipfile.ZipFile(part, "a") as whole:
             whole.comment = _contents(whole)
 
@@ -175,7 +175,7 @@ def read_curves(path: Path) -> dict[str, dict[str, np.ndarray]]:
 def write_text(path: Path, text: str) -> None:
     """Writes a text file."""
     with written(path) as part:
-        part.write_text(text, encoding="utf-8")
+        part.write_text(text, encoding="utf-8", errors="surrogateescape")
 
 
 def made_with(modules: Iterable[str]) -> Results:
