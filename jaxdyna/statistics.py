@@ -6,12 +6,12 @@ therefore undefined (None), while a median may still be known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom, rankdata
+from scipy.stats import binom, binomtest, rankdata, t
 
 from jaxdyna.fields import check, check_counts, setting
 
@@ -120,40 +120,47 @@ def summarise(
     per_seed: np.ndarray,
     solved: np.ndarray | None = None,
     at_least: np.ndarray | float | None = None,
+    positive: bool = True,
 ) -> Summary:
     """What the seeds say together, ready for JSON (None for infinity).
 
     Args:
         per_seed: ``[seeds]``, one at least; infinity where unsolved.
         solved: bool ``[seeds]``, by default where ``per_seed`` is finite.
-        at_least: lower bound of an unsolved seed's value, such as the budget, a scalar or
-            ``[seeds]``.
+        at_least: the budget B at which an unsolved seed stopped, a scalar or ``[seeds]``.
+        positive: whether it is a positive quantity, whose logarithm is the more symmetrical.
 
     Returns:
-        ``per_seed, mean, median``; ``ci95`` (bootstrap interval of the mean), None for five seeds
-        or fewer, and for seeds that are all alike; ``median_ci95`` (exact, by ranks); ``solved``
-        and ``seeds`` (counts); ``budget`` (the largest bound) and ``restricted_mean``, the mean
-        with unsolved seeds at their bound, both None without ``at_least``.
+        ``per_seed``, ``mean`` and ``median`` (None where unsolved seeds leave them unknown);
+        ``median_ci95`` (exact, by ranks); ``solved``, ``seeds`` and ``solved_ci95`` of the share
+        (exact, Clopper and Pearson); ``ci95`` of the mean, `studentised_interval`. With
+        ``at_least`` also ``budget``, the largest, and of min(T, B) ``restricted_mean`` and
+        ``restricted_ci95``, else None.
     """
     per_seed = np.asarray(per_seed, np.float64)
     if per_seed.ndim != 1 or not per_seed.size:
         raise ValueError(f"per_seed is {list(per_seed.shape)}: give [seeds], a number a run")
     solved = np.isfinite(per_seed) if solved is None else solved
-    budget = restricted = None
+    budget = restricted = restricted_ci95 = None
+    most = np.inf
     if at_least is not None:
-        budget = float(np.max(at_least))
-        restricted = float(np.where(np.isfinite(per_seed), per_seed, at_least).mean())
-    several = len(per_seed) > FEW and np.unique(per_seed).size > 1
+        budget = most = float(np.max(at_least))
+        values = np.where(np.isfinite(per_seed), per_seed, at_least)
+        restricted = float(values.mean())
+        restricted_ci95 = studentised_interval(values, positive, most)
+    share = binomtest(int(np.sum(solved)), len(per_seed)).proportion_ci(method="exact")
     return {
         "per_seed": [_plain(value) for value in per_seed],
         "mean": _plain(np.mean(per_seed)),
+        "ci95": studentised_interval(per_seed, positive, most),
         "median": _plain(np.median(per_seed)),
-        "ci95": bootstrap_interval(per_seed, _row_means) if several else None,
         "median_ci95": median_interval(per_seed),
         "solved": int(np.sum(solved)),
         "seeds": len(per_seed),
+        "solved_ci95": [float(share.low), float(share.high)],
         "budget": budget,
         "restricted_mean": restricted,
+        "restricted_ci95": restricted_ci95,
     }
 
 
@@ -168,76 +175,140 @@ def median_interval(values: np.ndarray) -> list[float | None] | None:
     return [_plain(ordered[rank - 1]), _plain(ordered[len(values) - rank])]
 
 
-def bootstrap_interval(
-    values: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], resamples: int = 5000
-) -> list[float | None]:
-    """A 95% percentile-bootstrap interval over seeds, the same on every call.
+def studentised_interval(
+    values: np.ndarray, positive: bool = False, most: float = np.inf, resamples: int = 5000
+) -> list[float | None] | None:
+    """A 95% studentised-bootstrap interval of a mean over seeds, the same on every call (Efron and
+    Tibshirani 1993, §12.5). It holds the mean about as often as it says from six seeds on, where
+    the percentile bootstrap's holds it in 85 to 90 of 100 cases.
 
     Args:
         values: ``[seeds]``.
-        statistic: from ``[resamples, seeds]`` to ``[resamples]``.
+        positive: whether to resample the mean's logarithm: of positive, skewed quantities.
+        most: the largest that values can be; of positive ones the least is 0.
         resamples: how many.
 
     Returns:
-        ``[low, high]``; None for an infinite end, and for a single seed.
+        ``[low, high]``, None for an infinite end; None where there is no honest interval: of five
+        seeds or fewer, of seeds that are all alike, and where one is infinite.
     """
-    if len(values) < 2:
-        return [None, None]
-    index = np.random.default_rng(0).integers(0, len(values), (resamples, len(values)))
-    return _interval(statistic(values[index]))
+    values = np.asarray(values, np.float64)
+    known = len(values) > FEW and np.isfinite(values).all() and np.ptp(values) > 0
+    if not known or (positive and values.mean() <= 0):
+        return None
+    draws = np.random.default_rng(0).integers(0, len(values), (resamples, len(values)))
+    mean, error = _mean_and_error(values[None], positive)
+    means, errors = _mean_and_error(values[draws], positive)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a resample without spread: infinity
+        pivots = np.nan_to_num((means - mean) / errors, nan=0.0, posinf=np.inf, neginf=-np.inf)
+    high, low = np.percentile(pivots, [2.5, 97.5], method="nearest")
+    ends = np.array([mean[0] - low * error[0], mean[0] - high * error[0]])
+    return [_plain(end) for end in (np.clip(np.exp(ends), 0, most) if positive else ends)]
+
+
+def _mean_and_error(values: np.ndarray, positive: bool) -> tuple[np.ndarray, np.ndarray]:
+    """The mean over the last axis and its standard error, or those of its logarithm."""
+    mean = values.mean(-1)
+    error = values.std(-1, ddof=1) / np.sqrt(values.shape[-1])
+    if not positive:
+        return mean, error
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.log(mean), error / mean
 
 
 def mean_of_runs(values: np.ndarray) -> Summary:
-    """One number a run, such as a final return, ``[seeds]``: ``mean`` and ``ci95`` (bootstrap
-    interval) of what is finite, and ``per_seed``, None of what is not.
+    """One number a run, such as a final return, ``[seeds]``: ``mean`` and ``ci95``
+    (`studentised_interval`) of what is finite, and ``per_seed``, None of what is not.
     """
     known = values[np.isfinite(values)]
     return {
         "mean": float(known.mean()) if len(known) else None,
-        "ci95": bootstrap_interval(known, _row_means),
+        "ci95": studentised_interval(known),
         "per_seed": [_plain(value) for value in values],
     }
 
 
-def mean_interval(values: np.ndarray, resamples: int = 400) -> np.ndarray:
-    """95% bootstrap intervals of the mean over seeds, each of ``[seeds, n]``: ``[2, n]``."""
-    generator = np.random.default_rng(0)
-    weights = generator.multinomial(len(values), np.full(len(values), 1 / len(values)), resamples)
-    return np.percentile(weights @ values / len(values), [2.5, 97.5], axis=0)
+def mean_interval(values: np.ndarray) -> np.ndarray:
+    """95% t intervals of the mean over seeds, each of ``[seeds, n]``: ``[2, n]``, for the bands of
+    figures.
+    """
+    count = len(values)
+    half = t.ppf(0.975, count - 1) * values.std(0, ddof=1) / np.sqrt(count)
+    return values.mean(0) + np.stack([-half, half])
 
 
-def ratio_of_means(
-    numerator: np.ndarray, denominator: np.ndarray, denominator_at_least: float = np.inf
-) -> Summary:
-    """How two arms compare: the ratio of their means, with a 95% bootstrap interval.
+def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray, paired: bool = False) -> Summary:
+    """How two arms compare: the ratio of their means, by its logarithm's standard error (delta
+    method) and Student's t, with Welch's degrees of freedom where the arms are unpaired.
 
     Args:
-        numerator: ``[seeds]``, infinity where unsolved.
-        denominator: ``[seeds]``.
-        denominator_at_least: lower bound of an unsolved seed's value.
+        numerator: ``[seeds]``, positive.
+        denominator: ``[seeds]``, positive.
+        paired: whether seed by seed they belong together, as in rows of a study.
 
     Returns:
-        ``ratio`` and ``ci95``; ``bound`` is True where unsolved seeds in the denominator stand at
-        their lower bound, so that the ratio and its interval are upper bounds. None where an
-        unsolved seed in the numerator, or one without a bound, leaves nothing known, and no
-        interval of five seeds or fewer.
+        ``ratio`` (None where it is not known); ``ci95`` and ``ci90``; ``p``, that of a permutation
+        test of the same statistic (9,999 draws, two-sided; of signs where paired); ``sooner``, the
+        share of pairs of runs in which the numerator's is lower, equal ones half. The intervals
+        and p are None of five seeds or fewer, and where nothing varies.
     """
-    bound = not np.isfinite(denominator).all()
-    denominator = np.where(np.isfinite(denominator), denominator, denominator_at_least)
-    if not (np.isfinite(numerator).all() and np.isfinite(denominator).all()):
-        return {"ratio": None, "ci95": [None, None], "bound": bound}
+    one, other = (np.asarray(values, np.float64) for values in (numerator, denominator))
+    said: Summary = {"ratio": None, "ci95": None, "ci90": None, "p": None, "sooner": None}
+    if not (np.isfinite(one).all() and np.isfinite(other).all()):
+        return said
+    said["sooner"] = float(np.mean((np.sign(other[:, None] - one) + 1) / 2))
+    if min(one.mean(), other.mean()) <= 0:
+        return said
+    said["ratio"] = float(one.mean() / other.mean())
+    log, error, freedom = (part[0] for part in _log_ratio(one[None], other[None], paired))
+    if min(len(one), len(other)) <= FEW or error <= 0:
+        return said
+    for name, level in (("ci95", 0.975), ("ci90", 0.95)):
+        half = t.ppf(level, freedom) * error
+        said[name] = [float(np.exp(log - half)), float(np.exp(log + half))]
     generator = np.random.default_rng(0)
+    if paired:
+        swapped = generator.random((9999, len(one))) < 0.5
+        draws = np.where(swapped, other, one), np.where(swapped, one, other)
+    else:
+        pooled = generator.permuted(np.tile(np.concatenate([one, other]), (9999, 1)), axis=1)
+        draws = pooled[:, : len(one)], pooled[:, len(one) :]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs, errors, _ = _log_ratio(*draws, paired)
+        extreme = np.abs(logs / errors) >= abs(log / error) * (1 - 1e-9)
+    said["p"] = float((1 + np.sum(extreme | (errors == 0))) / 10_000)
+    return said
 
-    def means(values):
-        return values[generator.integers(0, len(values), (5000, len(values)))].mean(-1)
 
-    several = min(len(numerator), len(denominator)) > FEW
-    resampled = means(numerator) / means(denominator)
-    return {
-        "ratio": _plain(numerator.mean() / denominator.mean()),
-        "ci95": _interval(resampled) if several else [None, None],
-        "bound": bound,
-    }
+def _log_ratio(one: np.ndarray, other: np.ndarray, paired: bool) -> tuple[np.ndarray, ...]:
+    """Of the means over the last axis: the ratio's logarithm, its standard error, and that one's
+    degrees of freedom.
+    """
+    means = one.mean(-1), other.mean(-1)
+    log = np.log(means[0] / means[1])
+    if paired:
+        scaled = one / means[0][..., None] - other / means[1][..., None]
+        count = one.shape[-1]
+        return log, scaled.std(-1, ddof=1) / np.sqrt(count), np.full(log.shape, count - 1.0)
+    parts = [values.var(-1, ddof=1) / (values.shape[-1] * np.square(mean))
+             for values, mean in zip((one, other), means, strict=True)]  # fmt: skip
+    total = parts[0] + parts[1]
+    spread = sum(np.square(part) / (values.shape[-1] - 1)
+                 for part, values in zip(parts, (one, other), strict=True))  # fmt: skip
+    return log, np.sqrt(total), np.square(total) / np.where(spread > 0, spread, 1)
+
+
+def share_of_sums(parts: np.ndarray, wholes: np.ndarray) -> Summary:
+    """What the runs' parts, ``[seeds]``, which may be negative, are of their wholes, both summed:
+    ``share`` and its ``ci95`` (linearised, Student's t), None of five runs or fewer.
+    """
+    share, count = parts.sum() / wholes.sum(), len(parts)
+    said: Summary = {"share": float(share), "ci95": None}
+    if count > FEW:
+        rest = (parts - share * wholes) / wholes.mean()
+        half = t.ppf(0.975, count - 1) * rest.std(ddof=1) / np.sqrt(count)
+        said["ci95"] = [float(share - half), float(share + half)]
+    return said
 
 
 def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float, float]:
@@ -256,15 +327,6 @@ def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float,
     draws = np.random.default_rng(0).integers(0, seeds, (2000, seeds))
     low, high = np.percentile(correlate(draws), [2.5, 97.5])
     return float(correlate(np.arange(seeds)[None])[0]), float(low), float(high)
-
-
-def _row_means(values: np.ndarray) -> np.ndarray:
-    return values.mean(-1)
-
-
-def _interval(resampled: np.ndarray) -> list[float | None]:
-    low, high = np.percentile(resampled, [2.5, 97.5], method="nearest")
-    return [_plain(low), _plain(high)]
 
 
 def _plain(value: Any) -> float | None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxdyna.experiments.engine.experiment import Experiment
-from jaxdyna.experiments.engine.session import write_report
+from jaxdyna.experiments.engine.record import write_report
 from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import describe_arm
@@ -85,3 +85,24 @@ def test_a_legend_of_long_names_has_fewer_columns(tmp_path):
         return figure.legends[0]._ncols
 
     assert columns("abcd") == 4 and columns([f"dyna@{RATE}={n}" for n in range(3)]) == 1
+
+
+def test_lower_thresholds_are_reached_earlier(tmp_path, monkeypatch):
+    """By hand: dyna is at 5 from the third episode on and at 10 from the fifth, model_free at 5
+    from the sixth on and never at 10.
+    """
+    drawn = {}
+    played = {"dyna": [0, 0, 5, 5, 10, 10, 10, 10], "model_free": [0] * 5 + [5] * 3}
+    monkeypatch.setattr(
+        plots, "bands", lambda path, panels, *rest, **more: drawn.update(panels[""])
+    )
+    asked = SimpleNamespace(
+        options=SimpleNamespace(episodes=8), out=tmp_path,
+        curves={name: {"real_return": np.tile(np.array(values, float), (2, 1))}
+                for name, values in played.items()},
+    )  # fmt: skip
+    text = report.thresholds(lambda options: SolveRule(1, 10.0))(asked)
+    assert drawn["dyna"].tolist() == 2 * [[3] + 10 * [5]]
+    assert drawn["model_free"].tolist() == 2 * [[6] + 10 * [8]]
+    assert "0.50: 0.50; 0.60: 0.62; 0.70: 0.62" in text and "(thresholds.png)" in text
+    assert report.thresholds(lambda options: SolveRule(1, 0.0))(asked) == ""

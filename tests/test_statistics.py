@@ -2,26 +2,31 @@
 
 import json
 from fractions import Fraction
+from functools import partial
+from itertools import combinations, product
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from scipy.stats import binom, spearmanr
+from scipy.stats import beta, binom, sem, spearmanr
+from scipy.stats import t as scipy_t
 
-from jaxdyna.experiments.report.summaries import describe_arm
+from jaxdyna.experiments.report.summaries import compare, comparison, describe_arm, restricted
 from jaxdyna.experiments.study.accuracy import Measure, describe
 from jaxdyna.statistics import (
     SolveRule,
-    bootstrap_interval,
     episodes_to_solve,
     mean_interval,
     mean_of_runs,
     median_interval,
     rank_correlation,
     ratio_of_means,
+    share_of_sums,
     steps_before,
+    studentised_interval,
     summarise,
 )
 
@@ -56,11 +61,14 @@ def test_unsolved_seeds_are_never_dropped():
     summary = summarise(np.array([100.0, 200, 300, INF, 250, 350, 400]), at_least=1000)
     assert summary["per_seed"] == [100, 200, 300, None, 250, 350, 400]
     assert (summary["solved"], summary["seeds"]) == (6, 7)
-    assert summary["mean"] is None and summary["median"] == 300
+    assert summary["mean"] is summary["ci95"] is None and summary["median"] == 300
     assert summary["budget"] == 1000
     np.testing.assert_allclose(summary["restricted_mean"], 2600 / 7)
-    assert summary["ci95"][0] >= 100 and summary["ci95"][1] is None
+    low, high = summary["restricted_ci95"]
+    assert 100 < low < 2600 / 7 < high <= 1000
     assert summary["median_ci95"] == [100, None]
+    share = beta.ppf([0.025, 0.975], [6, 7], [2, 1])  # Clopper and Pearson
+    np.testing.assert_allclose(summary["solved_ci95"], share)
     json.dumps(summary, allow_nan=False)
 
 
@@ -88,26 +96,87 @@ def test_an_arms_figures_are_those_of_each_runs_own_episodes():
     assert arm["episodes_played"]["per_seed"] == [3, 5] and arm["solved_and_held"] == 0
 
 
-def test_bootstrap_covers_the_true_mean_about_as_often_as_it_says():
-    generator = np.random.default_rng(1)
-    hits = 0
-    for _ in range(200):
-        low, high = bootstrap_interval(
-            generator.normal(3, 2, 40), lambda rows: rows.mean(-1), resamples=500
-        )
-        hits += low <= 3 <= high
-    assert 0.88 <= hits / 200 <= 0.985
+POPULATIONS = np.load(Path(__file__).parent / "data" / "populations.npz")
+"""CartPole: episodes to solve of 100 runs an arm, an unsolved one at its budget; real steps before
+ten good episodes in a row, of 1,000.
+"""
+SKEWED = {"lognormal 1": 0.90, "ten in a row": 0.90, "oracle": 0.915}
+"""Of which intervals hold the mean less often than 92.5 times in 100."""
+SHAPES = {
+    "normal": (lambda draw, shape: draw.normal(10, 2, shape), 10),
+    "lognormal .5": (lambda draw, shape: draw.lognormal(0, 0.5, shape), np.exp(0.125)),
+    "lognormal 1": (lambda draw, shape: draw.lognormal(0, 1, shape), np.exp(0.5)),
+} | {
+    name: (partial(lambda name, draw, shape: draw.choice(POPULATIONS[name], shape), name),
+           POPULATIONS[name].mean())
+    for name in POPULATIONS.files
+}  # fmt: skip
 
 
-def test_a_bootstrap_interval_is_that_of_the_binomial():
-    """Half of 100 runs are 1: their resampled mean is between 0.40 and 0.60 in 95 of 100 cases,
-    and between 0.42 and 0.58 in 90.
-    """
-    runs = np.repeat([0.0, 1.0], 50)
-    np.testing.assert_allclose(
-        bootstrap_interval(runs, lambda rows: rows.mean(-1)), [0.4, 0.6], atol=0.011
-    )
-    np.testing.assert_allclose(mean_interval(runs[:, None])[:, 0], [0.4, 0.6], atol=0.011)
+def coverage(name, seeds, repetitions, **how):
+    """How often an interval holds the mean of the population, and misses it on either side."""
+    draw, mean = SHAPES[name]
+    samples = draw(np.random.default_rng(1), (repetitions, seeds))
+    ends = [studentised_interval(one, **how) or [-INF, INF] for one in samples]
+    low, high = np.array([[-INF if a is None else a, INF if b is None else b] for a, b in ends]).T
+    return np.mean((low <= mean) & (mean <= high)), np.mean(low > mean), np.mean(high < mean)
+
+
+@pytest.mark.parametrize("name", ["normal", "dyna"])
+def test_an_interval_holds_the_mean_about_as_often_as_it_says(name):
+    held, *missed = coverage(name, 10, 1000, positive=True, resamples=400)
+    assert held >= 0.925 and max(missed) <= 0.055
+    held, *_ = coverage(name, 10, 1000, resamples=400)
+    assert held >= 0.92
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", [10, 20])
+@pytest.mark.parametrize("name", SHAPES)
+def test_coverage(name, seeds):
+    """As measured: with skew nearly all misses are on the high side."""
+    held, above, below = coverage(name, seeds, 10_000, positive=True, resamples=1000)
+    assert held >= SKEWED.get(name, 0.925), (held, above, below)
+    assert above + below <= 0.1 and above <= 0.04
+
+
+@pytest.mark.parametrize("paired", [False, True])
+@pytest.mark.parametrize("name", ["normal", "lognormal .5", "model_free"])
+def test_a_ratios_interval_holds_1_for_two_arms_that_are_alike(name, paired):
+    """About as often as it says; and p is below .05 about as seldom."""
+    draw, _ = SHAPES[name]
+    samples = draw(np.random.default_rng(2), (300, 2, 10))
+    ratios = [ratio_of_means(*pair, paired) for pair in samples]
+    assert np.mean([low <= 1 <= high for low, high in (one["ci95"] for one in ratios)]) >= 0.91
+    assert np.mean([one["p"] <= 0.05 for one in ratios]) <= 0.09
+    assert all(one["ci95"][0] < one["ci90"][0] < one["ci90"][1] < one["ci95"][1] for one in ratios)
+
+
+def test_an_interval_by_hand():
+    """Of six seeds: the pivots' quantiles are those of all 6**6 resamples."""
+    values = np.array([1.0, 2, 4, 8, 16, 32])
+    mean, error = values.mean(), values.std(ddof=1) / np.sqrt(6)
+    rows = np.array(list(product(values, repeat=6)))
+    spread = rows.std(1, ddof=1) / np.sqrt(6)
+    with np.errstate(divide="ignore"):
+        pivots = (rows.mean(1) - mean) / spread
+        logs = np.log(rows.mean(1) / mean) / (spread / rows.mean(1))
+    for positive, all_pivots in ((False, pivots), (True, logs)):
+        high, low = np.percentile(all_pivots, [2.5, 97.5], method="nearest")
+        if positive:
+            expected = mean * np.exp(np.array([-low, -high]) * error / mean)
+        else:
+            expected = [mean - low * error, mean - high * error]
+        found = studentised_interval(values, positive, resamples=100_000)
+        np.testing.assert_allclose(found, expected, rtol=0.05)
+    cut = studentised_interval(values, True, most=20)
+    assert cut[1] == 20 and cut[0] == studentised_interval(values, True)[0]
+
+
+def test_bands_are_t_intervals():
+    values = np.random.default_rng(0).normal(size=(12, 3))
+    expected = scipy_t.interval(0.95, 11, values.mean(0), sem(values))
+    np.testing.assert_allclose(mean_interval(values), expected)
 
 
 def test_solved_and_held_and_first_at_the_threshold_by_hand():
@@ -138,27 +207,78 @@ def test_a_models_error_is_of_the_episodes_with_dreams():
     assert said(options, {"error": error, "real_return": returns}) == {"model_error": [3, 1.5]}
 
 
-def test_the_runs_of_a_ratio_are_resampled_each_arm_on_its_own():
-    """In pairs the ratio of two equal arms would always be 1."""
-    runs = np.array([1.0, 3.0] * 3)
-    low, high = ratio_of_means(runs, runs)["ci95"]
-    assert low < 0.8 and high > 1.25
+def test_ratio_of_means_by_hand():
+    """Welch's test of logarithms, by the delta method."""
+    one, other = np.array([2.0, 3, 4, 2, 3, 5]), np.array([5.0, 2, 4, 9, 3, 7, 2])
+    ratio = ratio_of_means(one, other)
+    assert ratio["ratio"] == pytest.approx(one.mean() / other.mean())
+    parts = [x.var(ddof=1) / len(x) / x.mean() ** 2 for x in (one, other)]
+    freedom = sum(parts) ** 2 / (parts[0] ** 2 / 5 + parts[1] ** 2 / 6)
+    half = scipy_t.ppf(0.975, freedom) * np.sqrt(sum(parts))
+    np.testing.assert_allclose(ratio["ci95"], ratio["ratio"] * np.exp([-half, half]))
+    assert ratio["sooner"] == np.mean([(a < b) + 0.5 * (a == b) for a in one for b in other])
+    statistic = abs(np.log(ratio["ratio"])) / np.sqrt(sum(parts))
+    pooled, count, extreme = np.concatenate([one, other]), 0, 0
+    for rows in combinations(range(13), 6):  # all there are
+        a, b = pooled[list(rows)], np.delete(pooled, rows)
+        parts = [x.var(ddof=1) / len(x) / x.mean() ** 2 for x in (a, b)]
+        extreme += abs(np.log(a.mean() / b.mean())) / np.sqrt(sum(parts)) >= statistic - 1e-9
+        count += 1
+    assert ratio["p"] == pytest.approx(extreme / count, abs=0.015)
 
 
-def test_ratio_of_means():
-    ratio = ratio_of_means(np.array([1.0, 3.0] * 3), np.full(8, 4.0))
-    assert ratio["ratio"] == 0.5 and 0.25 < ratio["ci95"][0] < 0.5 < ratio["ci95"][1] < 0.75
-    assert not ratio["bound"]
+def test_paired_runs_say_more_where_they_go_together():
+    runs = np.array([10.0, 20, 30, 40, 50, 60, 70])
+    shorter = 0.8 * runs + np.array([0.1, -0.1, 0.2, 0, -0.2, 0.1, -0.1])
+    apart, together = ratio_of_means(shorter, runs), ratio_of_means(shorter, runs, paired=True)
+    assert apart["ratio"] == together["ratio"] == pytest.approx(0.8, abs=1e-3)
+    assert apart["ci95"][0] < 0.6 and apart["p"] > 0.3
+    assert 0.79 < together["ci95"][0] < together["ci95"][1] < 0.81 and together["p"] < 0.02
+
+
+def test_where_a_ratio_has_no_interval_it_has_none():
     few = ratio_of_means(np.array([1.0, 3.0]), np.full(8, 4.0))
-    assert few["ratio"] == 0.5 and few["ci95"] == [None, None]
+    assert few["ratio"] == 0.5 and few["ci95"] is few["ci90"] is few["p"] is None
+    alike = ratio_of_means(np.full(8, 2.0), np.full(8, 4.0))
+    assert alike["ratio"] == 0.5 and alike["ci95"] is None and alike["sooner"] == 1
     assert ratio_of_means(np.array([1.0, INF]), np.array([4.0, 4.0]))["ratio"] is None
+    assert ratio_of_means(np.zeros(8), np.ones(8))["ratio"] is None
 
 
-def test_ratio_to_an_arm_with_unsolved_seeds_is_an_upper_bound():
-    ours, unsolved = np.array([1.0, 3.0]), np.array([4.0, INF])
-    assert ratio_of_means(ours, unsolved)["ratio"] is None
-    ratio = ratio_of_means(ours, unsolved, denominator_at_least=6.0)
-    assert ratio["ratio"] == 0.4 and ratio["bound"]
+def test_unsolved_runs_count_with_what_they_played_in_a_ratio():
+    arms = {
+        "model_free": {"episodes_to_solve": summarise(np.array([400.0, INF]), at_least=1000)},
+        "dyna": {"episodes_to_solve": summarise(np.array([100.0, 300]), at_least=1000)},
+    }
+    assert compare(arms, "model_free")["dyna"]["ratio"] == pytest.approx(400 / 1400)
+    steps = summarise(np.array([10.0, INF, INF]), at_least=np.array([99.0, 30, 50]))
+    assert restricted(steps).tolist() == [10, 40, 40]
+
+
+def test_what_p_and_intervals_allow_to_say():
+    """Told apart, not told apart, or the same within a tenth."""
+    draw = np.random.default_rng(0)
+    base = summarise(draw.normal(100, 3, 20), at_least=1000)
+    for mean, spread, said in (
+        (70, 3, "needs **0.71** of model_free's episodes (95% interval 0.6"),
+        (95, 30, "They are not told apart."),
+        (100, 3, "They are the same within a tenth."),
+    ):
+        arm = summarise(draw.normal(mean, spread, 20), at_least=1000)
+        arms = {"model_free": base, "dyna": arm}
+        (line,) = comparison({"arms": {n: {"episodes_to_solve": a} for n, a in arms.items()}}, {})
+        assert said in line and ("told apart" in line) == ("told apart" in said)
+
+
+def test_a_share_of_sums_by_hand():
+    """The delta method's interval of a ratio, paired."""
+    parts, wholes = np.array([1.0, 2, -1, 3, 4, 2]), np.array([10.0, 12, 9, 10, 11, 8])
+    said = share_of_sums(parts, wholes)
+    assert said["share"] == pytest.approx(11 / 60)
+    rest = parts - 11 / 60 * wholes
+    half = scipy_t.ppf(0.975, 5) * rest.std(ddof=1) / np.sqrt(6) / 10
+    np.testing.assert_allclose(said["ci95"], [11 / 60 - half, 11 / 60 + half])
+    assert share_of_sums(parts[:5], wholes[:5])["ci95"] is None
 
 
 def test_rank_correlation():
@@ -223,10 +343,14 @@ def test_what_runs_say_together_lies_within_them(values, budget):
     at_their_bound = [*known, *[budget] * (len(values) - len(known))]
     assert said["restricted_mean"] == pytest.approx(np.mean(at_their_bound))
     middle = said["median"] or np.inf
-    for interval in (said["ci95"], said["median_ci95"]):
-        low, high = (end or np.inf for end in interval or (values.min(), values.max()))
-        assert values.min() <= low <= high <= values.max()
-    assert low <= middle <= high
+    low, high = (end or np.inf for end in said["median_ci95"] or (values.min(), values.max()))
+    assert values.min() <= low <= middle <= high <= values.max()
+    for mean, interval in ((said["mean"], "ci95"), (said["restricted_mean"], "restricted_ci95")):
+        several = len(values) > 5 and mean is not None
+        low, high = said[interval] or (0, budget)
+        assert not several or 0 <= low <= high <= max(budget, values.max())
+    low, high = said["solved_ci95"]
+    assert 0 <= low <= len(known) / len(values) <= high <= 1
     turned = summarise(values[::-1], at_least=budget)
     same = ("mean", "median", "median_ci95", "solved")
     assert [turned[name] for name in same] == [said[name] for name in same]
@@ -243,29 +367,29 @@ def test_a_medians_interval_covers_it_as_often_as_it_says_and_no_wider():
 
 
 @given(
-    left=st.lists(NEEDED, min_size=1, max_size=8), right=st.lists(NEEDED, min_size=1, max_size=8),
-    bound=st.integers(5000, 9999), data=st.data(),
+    left=st.lists(st.integers(1, 5000).map(float), min_size=6, max_size=8),
+    right=st.lists(st.integers(1, 5000).map(float), min_size=6, max_size=8),
+    data=st.data(),
 )  # fmt: skip
-@settings(max_examples=60)
-def test_a_ratio_turns_over_with_its_arms(left, right, bound, data):
+@settings(max_examples=30)
+def test_a_ratio_turns_over_with_its_arms(left, right, data):
     """And is the same in whatever order the runs come."""
     left, right = np.array(left), np.array(right)
-    known = np.isfinite(left).all()
-    ratio = ratio_of_means(left, right, bound)
-    assert ratio["bound"] == (not np.isfinite(right).all())
-    assert (ratio["ratio"] is None) == (not known)
-    filled = np.where(np.isfinite(right), right, bound)
-    back = ratio_of_means(filled, left)
-    if known:
-        assert ratio["ratio"] == pytest.approx(left.mean() / filled.mean())
-        assert ratio["ratio"] * back["ratio"] == pytest.approx(1)
-        turned = [data.draw(st.permutations(arm.tolist())) for arm in (left, right)]
-        again = ratio_of_means(*map(np.array, turned), bound)
-        assert again["ratio"] == pytest.approx(ratio["ratio"])
+    ratio, back = ratio_of_means(left, right), ratio_of_means(right, left)
+    assert ratio["ratio"] == pytest.approx(left.mean() / right.mean())
+    assert ratio["ratio"] * back["ratio"] == pytest.approx(1)
+    assert ratio["sooner"] + back["sooner"] == pytest.approx(1)
+    turned = [data.draw(st.permutations(arm.tolist())) for arm in (left, right)]
+    again = ratio_of_means(*map(np.array, turned))
+    assert again["ratio"] == pytest.approx(ratio["ratio"])
+    if ratio["ci95"] is None:
+        assert np.ptp(left) == np.ptp(right) == 0
+    else:
         low, high = ratio["ci95"]
-        if low is not None:
-            most = left.max() / filled.min()
-            assert left.min() / filled.max() * (1 - 1e-9) <= low <= high <= most * (1 + 1e-9)
+        assert 0 < low < ratio["ratio"] < high
+        assert [1 / high, 1 / low] == pytest.approx(back["ci95"])
+        assert again["ci95"] == pytest.approx(ratio["ci95"])
+        assert again["p"] == pytest.approx(ratio["p"], abs=0.03)
 
 
 @given(
@@ -281,9 +405,6 @@ def test_correlation_and_means_agree_with_scipy_and_numpy(values, missing):
     rank, low, high = rank_correlation(left, right)
     assert rank == pytest.approx(spearmanr(*means).statistic)
     assert -1 <= low <= high <= 1
-    ends = mean_interval(left)
-    slack = 1e-9 * np.abs(left).max()
-    assert (left.min(0) - slack <= ends[0]).all() and (ends[1] <= left.max(0) + slack).all()
     some = left[:, 0].copy()
     some[:missing] = np.nan
     said = mean_of_runs(some)

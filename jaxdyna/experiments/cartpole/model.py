@@ -124,7 +124,7 @@ def section(record: Any) -> str:
               if "model" in arm and not name.startswith("placebo")}  # fmt: skip
     if models:
         rows = [
-            [name, state, *(number(model[f"one_step_r2_{kind}"][state], of, 4)
+            [name, state, *(number(model[f"one_step_r2_{kind}"][state][of], 4)
                             for kind in ("state", "change") for of in ("mean", "min"))]
             for name, model in models.items() for state in STATES
         ]  # fmt: skip

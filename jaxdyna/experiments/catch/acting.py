@@ -122,6 +122,7 @@ CATCH = Experiment(
     sections=(
         report.solving(lambda options: RULE),
         report.learning_curves(lambda options: RULE),
+        report.thresholds(lambda options: RULE),
         report.endings(lambda options: RULE),
         report.behaviour(report.WRONG, 10),
         final, report.arms_said(study.SAID), report.settings, report.spent,

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxdyna.experiments.engine import Results
 from jaxdyna.rollout import rollout
-from jaxdyna.statistics import bootstrap_interval
+from jaxdyna.statistics import share_of_sums
 from jaxdyna.types import Environment, Key
 
 REPEATS, TIMED_SECONDS = 5, 0.3
@@ -98,13 +98,9 @@ def measure(
 
 def _share(name: str, earned: np.ndarray, best: np.ndarray) -> Results:
     """With its interval over the runs; over the episodes where there are one or two."""
-    parts = np.stack([earned, best], axis=-1)
-    parts = parts.sum(1) if len(parts) > 2 else parts.reshape(-1, 2)
-
-    def share(parts: np.ndarray) -> np.ndarray:
-        return parts[..., 0].sum(-1) / parts[..., 1].sum(-1)
-
-    return {name: float(share(parts)), f"{name}_ci95": bootstrap_interval(parts, share)}
+    earned, best = (one.sum(1) if len(one) > 2 else one.ravel() for one in (earned, best))
+    said = share_of_sums(earned, best)
+    return {name: said["share"], f"{name}_ci95": said["ci95"]}
 
 
 def best_returns(ground: Ground) -> np.ndarray:

@@ -86,7 +86,7 @@ def figure(path: Path, places: dict[str, list[Results]]) -> None:
             own = [row for row in here if row["label"] == label]
             own.sort(key=lambda row: row["steps"])
             share = np.array([row["share"] for row in own])
-            ends = np.array([row["share_ci95"] for row in own], float)
+            ends = np.array([row["share_ci95"] or [row["share"]] * 2 for row in own], float)
             who, true = own[0]["who"], own[0]["world"] == "true"
             colour = COLOURS[who.removesuffix(", learned values")]
             panel.errorbar(

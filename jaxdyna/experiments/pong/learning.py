@@ -53,12 +53,7 @@ def about(record: Any) -> str:
 
 def in_steps(record: Any) -> str:
     """The ratios once more, in the real steps before the solving window, of the arms that solve."""
-    solving = {
-        name: arm
-        for name, arm in record.results["arms"].items()
-        if arm["real_steps_to_solve"]["restricted_mean" if name == "model_free" else "mean"]
-    }
-    return report.paragraphs(*comparisons({"arms": solving}, {}, "real_steps_to_solve"))
+    return report.paragraphs(*comparisons(record.results, {}, "real_steps_to_solve"))
 
 
 def cause(record: Any) -> str:

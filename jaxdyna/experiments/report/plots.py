@@ -239,11 +239,10 @@ def swept_map(
     for panel, (name, each) in zip(panels.flat, solved.items(), strict=True):
         shape = len(row_values), len(column_values)
         grid = np.reshape([one["restricted_mean"] for one in each], shape)
-        said = np.reshape([tables.number(one) for one in each], shape)
         picture = panel.imshow(grid, cmap="viridis_r", aspect="auto")
         for (row, column), value in np.ndenumerate(grid):
             shade = "black" if value <= (grid.min() + grid.max()) / 2 else "white"
-            panel.text(column, row, said[row, column], ha="center", va="center", color=shade)
+            panel.text(column, row, f"{value:,.0f}", ha="center", va="center", color=shade)
         panel.set_xticks(range(len(column_values)), [str(value) for value in column_values])
         panel.set_yticks(range(len(row_values)), [str(value) for value in row_values])
         finish(panel, name, columns, rows, legend=False)

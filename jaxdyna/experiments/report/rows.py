@@ -3,13 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.sections import paragraphs, told
-from jaxdyna.experiments.report.summaries import FIRST_DREAMS
+from jaxdyna.experiments.report.summaries import FIRST_DREAMS, restricted
 from jaxdyna.experiments.report.tables import Results, per_seed, whole
-from jaxdyna.statistics import mean_of_runs
+from jaxdyna.statistics import ratio_of_means
 
 
 @told
@@ -23,7 +21,7 @@ def rows(record: Any, column: str = "episodes_to_solve") -> str:
     for line, arm in zip(lines, arms, strict=True):
         dreams = arm.get("first_dreams")
         line += [
-            "-" if arm is first else _difference(arm[column], first[column]),
+            "-" if arm is first else _ratio(arm[column], first[column]),
             f"{whole(dreams['fake_return'])} / {whole(dreams['real_return'])}" if dreams else "-",
         ]
     solved = {name: per_seed(arm[column]) for name, arm in results["arms"].items()}
@@ -32,21 +30,15 @@ def rows(record: Any, column: str = "episodes_to_solve") -> str:
     return paragraphs(
         f"{tables.runs(len(results['runs']['seeds']))} of each row. The first row is the "
         f"`{options.preset}` preset; every other one changes what it says. "
-        f"{first['solve_rule'].capitalize()}. At most {options.episodes} episodes; a mean with "
-        "an unsolved run in it is shown as its lower bound (≥). The seeds are the same in "
-        f"every row, so that the difference to «{lines[0][0]}» is paired; where runs of the "
-        "row are unsolved it is a lower bound (≥), where runs of the first are it is left out. "
+        f"{first['solve_rule'].capitalize()}. At most {options.episodes} episodes; an unsolved run "
+        "counts as so many. The seeds are the same in "
+        f"every row, so that the ratio to «{lines[0][0]}» is paired. "
         f"Fake and real return: medians over the first {FIRST_DREAMS} episodes with dreams.",
         tables.markdown_table(
-            ["row", *header, "difference to the first row", "fake / real return"], lines
+            ["row", *header, "ratio to the first row", "fake / real return"], lines
         ),
         "![every run of every row](variants.png)",
     )
-
-
-def bounded(solve: Results) -> np.ndarray:
-    """A figure of each run, an unsolved one at the least that it can be."""
-    return per_seed(solve, solve["budget"])
 
 
 def limit(arms: Mapping[str, Results], column: str) -> int:
@@ -54,11 +46,8 @@ def limit(arms: Mapping[str, Results], column: str) -> int:
     return int(max(arm[column]["budget"] for arm in arms.values()))
 
 
-def _difference(solve: Results, first: Results) -> str:
-    """How much later than the first row, in words."""
-    if first["solved"] < first["seeds"]:
-        return "-"
-    difference = bounded(solve) - bounded(first)
-    if solve["solved"] < solve["seeds"]:
-        return f"≥ {difference.mean():+.0f}"
-    return tables.with_interval(mean_of_runs(difference), sign="+")
+def _ratio(solve: Results, first: Results) -> str:
+    """To the first row's, run by run, in words."""
+    ratio = ratio_of_means(restricted(solve), restricted(first), paired=True)
+    said, ends = tables.number(ratio["ratio"], 2), tables.interval(ratio["ci95"], 2)
+    return said if ends == "-" else f"{said} ({ends}; p {ratio['p']:.3f})"

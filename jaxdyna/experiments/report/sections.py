@@ -1,6 +1,7 @@
 """The sections that most reports share: pure functions of a record, each with its figures."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import wraps
 from itertools import product
 from typing import Any, Concatenate, ParamSpec
@@ -9,19 +10,27 @@ import numpy as np
 
 from jaxdyna import fields
 from jaxdyna.experiments.report import plots, tables
-from jaxdyna.experiments.report.summaries import HELD_EPISODES, comparisons
-from jaxdyna.experiments.report.tables import markdown_table, paragraphs, runs, with_interval
-from jaxdyna.statistics import FEW, SolveRule, episodes_to_solve, mean_of_runs
+from jaxdyna.experiments.report.summaries import HELD_EPISODES, comparison, comparisons
+from jaxdyna.experiments.report.tables import (
+    Results,
+    markdown_table,
+    paragraphs,
+    runs,
+    with_interval,
+)
+from jaxdyna.statistics import FEW, SolveRule, episodes_to_solve, mean_of_runs, summarise
 
 Section = Callable[[Any], str]
 Rule = Callable[[Any], SolveRule]
 P = ParamSpec("P")
 COUNTED = (
     "The rule is the same for all arms and counts every real episode. An unsolved run is never "
-    "dropped: it leaves the mean undefined, of which only a lower bound (≥) is then known."
+    "dropped: it counts as the budget (a restricted mean)."
 )
 NONE_OF_FEW = "Figures of solving have no interval: of five runs or fewer none can be trusted."
 QUANTILES = (5, 50, 95, 99)
+LOWERED = np.linspace(0.5, 1, 11)
+"""Shares of a rule's threshold."""
 WRONG = {
     "wrong_frames": "share of new frames predicted wrong",
     "wrong_rewards": "share of new rewards predicted wrong",
@@ -58,7 +67,7 @@ def solving(
     header, lines = tables.solve_table(record.results)
     header.append("real steps before: median")
     for line, arm in zip(lines, record.results["arms"].values(), strict=True):
-        line.append(tables.number(arm["real_steps_to_solve"], "median"))
+        line.append(tables.median(arm["real_steps_to_solve"]))
     if set(paper) & set(record.results["arms"]):
         header.insert(1, "paper")
         for line, name in zip(lines, record.results["arms"], strict=True):
@@ -66,8 +75,54 @@ def solving(
     return paragraphs(
         f"{runs(count)} of each arm. {solves.capitalize()}. {COUNTED} {said}".rstrip(),
         markdown_table(header, lines), "" if count > FEW else NONE_OF_FEW, _never(record),
-        *comparisons(record.results, ratio), swept(record),
+        _half(record.results),
+        *comparisons(record.results, ratio), _windowless(record.results), swept(record),
     )  # fmt: skip
+
+
+def _half(results: Results) -> str:
+    """The restricted means at half the budget, where some run did not solve in all of it."""
+    arms, half = results["arms"], results["config"]["episodes"] / 2
+    figures = {name: arm["episodes_to_solve"] for name, arm in arms.items()}
+    if all(one["solved"] == one["seeds"] for one in figures.values()):
+        return ""
+    said = []
+    for name, one in figures.items():
+        values = tables.per_seed(one)
+        cut = summarise(np.where(values <= half, values, np.inf), at_least=half)
+        said.append(f"{name} {cut['solved']}/{cut['seeds']}, {tables.with_interval(cut)}")
+    return f"Within half the budget, {half:g} episodes: {'; '.join(said)}."
+
+
+def _windowless(results: Results) -> str:
+    """The window stands in both terms of a ratio, and pulls it towards 1."""
+    lines = comparison(results, {}, figure="first_solved")
+    found = [line for line in lines if line.startswith("dyna needs")]
+    return f"Without the window: {found[0]}" if found else ""
+
+
+@told
+def thresholds(record: Any, rule: Rule) -> str:
+    """Episodes to solve against the threshold; empty where that is 0 or less."""
+    solves, budget = rule(record.options), record.options.episodes
+    if solves.threshold <= 0 or not record.curves:
+        return ""
+    lowered = [replace(solves, threshold=float(share * solves.threshold)) for share in LOWERED]
+
+    def needed(curves: Mapping[str, np.ndarray]) -> np.ndarray:
+        found = [episodes_to_solve(one.score(curves), one) for one in lowered]
+        return np.minimum(np.stack(found, axis=-1), budget)
+
+    lines = {name: needed(curves) for name, curves in drawn(record, ()).items()}
+    axis = "threshold, as a share of the rule's"
+    plots.bands(record.out / "thresholds.png", {"": lines}, axis, "episodes to solve", at=LOWERED)
+    said = ""
+    if {"dyna", "model_free"} <= lines.keys():
+        ratios = lines["dyna"].mean(0) / lines["model_free"].mean(0)
+        said = "; ".join(f"{share:.2f}: {ratio:.2f}" for share, ratio in
+                         list(zip(LOWERED, ratios, strict=True))[::2])  # fmt: skip
+        said = f"dyna's episodes over model_free's where a lower threshold is asked for: {said}."
+    return paragraphs("![episodes to solve against the threshold](thresholds.png)", said)
 
 
 def _never(record: Any) -> str:

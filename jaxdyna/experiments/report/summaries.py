@@ -17,7 +17,9 @@ HELD_EPISODES = 50
 UNITS = {
     "episodes_to_solve": "episodes",
     "real_steps_to_solve": "real steps before the solving window",
+    "first_solved": "episodes up to the solving window's first",
 }
+NOT_TOLD_APART = " They are not told apart."
 
 
 def describe_arm(curves: Curves, rule: SolveRule, budget: int) -> Results:
@@ -37,7 +39,7 @@ def describe_arm(curves: Curves, rule: SolveRule, budget: int) -> Results:
         "first_solved": summarise(first, at_least=max(budget - rule.window + 1, 1)),
         "real_steps_to_solve": summarise(steps, at_least=np.nansum(curves["real_length"], -1)),
         "first_at_threshold": summarise(first_at, at_least=budget),
-        "final_return": summarise(last_mean(returns, rule.window), solved),
+        "final_return": summarise(last_mean(returns, rule.window), solved, positive=False),
         "solved_and_held": int((solved & rule.reached(held)).sum()),
         "episodes_played": {"mean": float(played.mean()), "per_seed": played.tolist()},
         "solve_rule": str(rule),
@@ -76,21 +78,24 @@ def first_dreams(options: Any, curves: Curves) -> Results:
 
 
 def compare(arms: Results, baseline: str, figure: str = "episodes_to_solve") -> Results:
-    """Ratio of each arm's mean of a figure of `describe_arm` to the baseline's, with its interval;
-    an unsolved run of the baseline counts as the least that it can have needed.
+    """`statistics.ratio_of_means` of each arm's figure of `describe_arm` to the baseline's, where
+    unsolved runs count with what they played: the ratio of restricted means.
     """
     if baseline not in arms:
         return {}
-    denominator = per_seed(arms[baseline][figure])
-    unsolved = ~np.isfinite(denominator)
-    known = denominator[~unsolved].sum()
-    least = arms[baseline][figure]["restricted_mean"] * len(denominator) - known
-    at_least = least / max(unsolved.sum(), 1)
     return {
-        name: statistics.ratio_of_means(per_seed(arm[figure]), denominator, at_least)
+        name: statistics.ratio_of_means(restricted(arm[figure]), restricted(arms[baseline][figure]))
         for name, arm in arms.items()
         if name != baseline and figure in arm
     }
+
+
+def restricted(figure: Results) -> np.ndarray:
+    """A figure of each run ``[seeds]``, of unsolved ones the mean of what they played."""
+    values = per_seed(figure)
+    unsolved = ~np.isfinite(values)
+    rest = figure["restricted_mean"] * len(values) - values[~unsolved].sum()
+    return np.where(unsolved, rest / max(unsolved.sum(), 1), values)
 
 
 def comparison(
@@ -98,28 +103,33 @@ def comparison(
     figure: str = "episodes_to_solve",
 ) -> list[str]:  # fmt: skip
     """The ratios to a baseline in words, a line an arm, the paper's own beside those it gives."""
-    arms, lines, unknown = results["arms"], [], []
+    arms, lines = results["arms"], []
     for name, ratio in compare(arms, baseline, figure).items():
         if ratio["ratio"] is None:
-            if mean := arms[baseline][figure]["mean"]:
-                least = arms[name][figure]["restricted_mean"] / mean
-                said = f"at least **{least:.2f}** of {baseline}'s {UNITS[figure]}"
-                lines.append(f"{name} needs {said}, because it has unsolved runs.")
-            else:
-                unknown.append(name)
+            lines.append(f"{name} and {baseline}: no ratio of {UNITS[figure]}.")
             continue
-        ends = interval(ratio["ci95"], 2)
-        beside = [f"95% interval {ends}"] if ends != "-" else []
+        beside = []
+        if ratio["ci95"] is not None:
+            beside += [f"95% interval {interval(ratio['ci95'], 2)}", _p_value(ratio["p"])]
         beside += [f"the paper's is {paper[name]:.2g}"] if name in paper else []
-        said = f" ({'; '.join(beside)})" if beside else ""
-        most = "at most " if ratio["bound"] else ""
-        why = f", because {baseline} has unsolved runs" if ratio["bound"] else ""
-        found = f"{name} needs {most}**{ratio['ratio']:.2f}** of {baseline}'s {UNITS[figure]}"
-        lines.append(f"{found}{why}{said}.")
-    if unknown:
-        unsolved = ", ".join([baseline, *unknown])
-        lines.append(f"Not all runs of {unsolved} solved: ratios to {baseline} are unknown.")
+        said = f" ({', '.join(beside)})" if beside else ""
+        found = f"{name} needs **{ratio['ratio']:.2f}** of {baseline}'s {UNITS[figure]}"
+        lines.append(f"{found}{said}.{_verdict(ratio)}")
+    if any(arms[name][figure]["solved"] < arms[name][figure]["seeds"] for name in arms):
+        lines.append("Unsolved runs count with what they played.")
     return lines
+
+
+def _p_value(p: float) -> str:
+    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
+
+
+def _verdict(ratio: Results) -> str:
+    """What a ratio's p and intervals allow to say."""
+    if ratio["p"] is None or ratio["p"] <= 0.05:
+        return ""
+    low, high = ratio["ci90"]
+    return " They are the same within a tenth." if low >= 0.9 and high <= 1.1 else NOT_TOLD_APART
 
 
 def comparisons(
@@ -129,5 +139,5 @@ def comparisons(
     arms, lines = results["arms"], comparison(results, paper, figure=figure)
     for other in ("more_updates", "max_updates"):
         both = {name: arms[name] for name in ("dyna", other) if name in arms}
-        lines += comparison({"arms": both}, {}, other, figure)
-    return lines
+        lines += comparison({"arms": both}, {}, other, figure) if len(both) > 1 else []
+    return list(dict.fromkeys(lines))

@@ -12,11 +12,8 @@ Results = dict[str, Any]
 Table = tuple[list[str], list[list[str]]]
 
 
-def number(summary: Summary, statistic: str = "mean", digits: int = 0, sign: str = "") -> str:
-    """A statistic in words; where unsolved runs leave a mean undefined, its lower bound."""
-    value = summary[statistic]
-    if value is None and statistic == "mean" and summary.get("restricted_mean") is not None:
-        return f"≥ {summary['restricted_mean']:{sign},.{digits}f}"
+def number(value: float | None, digits: int = 0, sign: str = "") -> str:
+    """A number in words, a dash where it is not known."""
     return "-" if value is None else f"{value:{sign},.{digits}f}"
 
 
@@ -39,9 +36,20 @@ def interval(ends: Sequence[float | None] | None, digits: int = 0) -> str:
 
 
 def with_interval(summary: Summary, digits: int = 0, sign: str = "") -> str:
-    """``mean (low to high)``; the mean alone where there is no interval."""
-    said, ends = number(summary, digits=digits, sign=sign), interval(summary["ci95"], digits)
-    return said if ends == "-" else f"{said} ({ends})"
+    """``mean (low to high)``, where it is known the restricted one; the mean alone where there is
+    no interval.
+    """
+    known = summary.get("restricted_mean") is not None
+    mean, ends = (summary[f"restricted_{name}" if known else name] for name in ("mean", "ci95"))
+    said, beside = number(mean, digits, sign), interval(ends, digits)
+    return said if beside == "-" else f"{said} ({beside})"
+
+
+def median(summary: Summary) -> str:
+    """``median (low to high)``; one that unsolved runs leave unknown is above the budget."""
+    value, ends = summary["median"], summary["median_ci95"]
+    said = f"> {summary['budget']:,.0f}" if value is None else f"{value:,.0f}"
+    return said if ends is None else f"{said} ({interval(ends)})"
 
 
 def per_seed(summary: Summary, unsolved: float = np.inf) -> np.ndarray:
@@ -61,10 +69,10 @@ def label(name: str) -> str:
 def solve_table(results: Results, figure: str = "episodes_to_solve") -> Table:
     """A row an arm: ``episodes_to_solve`` or ``first_solved``."""
     said, budget = figure.replace("_", " "), results["config"]["episodes"]
-    header = ["arm", f"{said} (of {budget:,}): mean (95% interval)", "median", "solved"]
+    header = ["arm", f"solved in {budget:,}", f"{said}: mean (95% interval)", "median (95%)"]
     return header, [
-        [name, with_interval(arm[figure]), number(arm[figure], "median"),
-         f"{arm[figure]['solved']}/{arm[figure]['seeds']}"]
+        [name, f"{arm[figure]['solved']}/{arm[figure]['seeds']}", with_interval(arm[figure]),
+         median(arm[figure])]
         for name, arm in results["arms"].items()
     ]  # fmt: skip
 

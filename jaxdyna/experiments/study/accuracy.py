@@ -11,9 +11,9 @@ import numpy as np
 
 from jaxdyna.dyna import Dyna
 from jaxdyna.experiments.report import plots
-from jaxdyna.experiments.report.rows import bounded, limit
+from jaxdyna.experiments.report.rows import limit
 from jaxdyna.experiments.report.sections import paragraphs, told
-from jaxdyna.experiments.report.summaries import Curves
+from jaxdyna.experiments.report.summaries import Curves, restricted
 from jaxdyna.statistics import rank_correlation
 from jaxdyna.types import Transition
 
@@ -66,7 +66,7 @@ def accuracy(record: Any, measure: Measure, column: str = "episodes_to_solve") -
     arms, axis = record.results["arms"], column.replace("_", " ")
     errors = {name: np.array(arm.get("model_error", np.nan), float) for name, arm in arms.items()}
     errors = {name: error for name, error in errors.items() if np.isfinite(error).all()}
-    solved = {name: bounded(arm[column]) for name, arm in arms.items()}
+    solved = {name: restricted(arm[column]) for name, arm in arms.items()}
     hollow = [name for name in errors if name.startswith(measure.hollow)]
     compared = [name for name in errors if name not in hollow]
     if len(compared) < 3:
