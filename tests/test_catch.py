@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -203,6 +204,19 @@ def test_stacks_are_of_the_last_frames():
         np.testing.assert_array_equal(obs[..., :3], seen[-1])
         seen.append(jax.jit(env.env.frame)(state.env))
         np.testing.assert_array_equal(obs[..., 3:], seen[-1])
+
+
+def test_a_stack_is_of_the_environments_own_kind():
+    """Shades from 0 to 1 are no bytes."""
+
+    class Shades(Catch):
+        def observation_space(self, params):
+            return spaces.Box(-1, 1, (10, 5, 3), np.float32)
+
+    stacked = FrameStack(Shades(frames=True), 2).observation_space(None)
+    assert stacked == spaces.Box(-1, 1, (10, 5, 6), np.float32)
+    bytes_ = FrameStack(Catch(frames=True), 2).observation_space(None)
+    assert bytes_ == spaces.Box(0, 255, (10, 5, 6), np.uint8)
 
 
 def test_stacked_frames_suit_a_frame_model():

@@ -87,9 +87,10 @@ class FrameStack(Wrapper):
         return self.env.render(state.env, params)  # type: ignore[attr-defined]
 
     def observation_space(self, params: Any) -> spaces.Box:
-        """Bytes."""
-        height, width, channels = self.env.observation_space(params).shape
-        return spaces.Box(0, 255, (height, width, channels * self.num_frames), np.uint8)
+        """The environment's, stacked."""
+        space = self.env.observation_space(params)
+        low, high = (np.tile(end, self.num_frames) for end in (space.low, space.high))
+        return spaces.Box(low, high, dtype=space.dtype)
 
 
 @struct.dataclass
