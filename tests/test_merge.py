@@ -6,22 +6,19 @@ import shutil
 import jax
 import numpy as np
 import pytest
+from pole import PARTS
 
 from jaxdyna.experiments import merge
-from jaxdyna.experiments.catch import PARTS
 from jaxdyna.experiments.engine import main, storage
 
-PROG = "python -m jaxdyna.experiments.catch"
-CATCH = [
-    "--arms", "model_free", "--rows", "3", "--columns", "2", "--seeds", "4", "--block", "2",
-    "--episodes", "200", "--dyna.num-real-first", "2", "--agent.updates", "2",
-    "--agent.batch", "16",
-]  # fmt: skip
+PROG = "python -m pole"
+RUN = ["--arms", "model_free", "--seeds", "4", "--block", "2", "--episodes", "30",
+       "--stop-after-solved", "0", "--threshold", "19"]  # fmt: skip
 
 
 def play(out, *arguments):
     with jax.debug_key_reuse(False):  # which mistakes a cond over several runs for two uses
-        assert main(*PARTS, argv=[*CATCH, *arguments, "--out", str(out)], prog=PROG) == 0
+        assert main(*PARTS, argv=[*RUN, *arguments, "--out", str(out)], prog=PROG) == 0
     return out
 
 
@@ -71,7 +68,7 @@ def test_shards_put_together_are_the_whole(shards, whole, turned, tmp_path):
         assert ours["timing"][seconds] == pytest.approx(sum(one[seconds] for one in parts))
     images = {path.name for path in whole.glob("*.png")}
     assert images and images == {path.name for path in out.glob("*.png")}
-    assert (out / "report.md").read_text().startswith("# Catch\n")
+    assert (out / "report.md").read_text().startswith("# Pole\n")
 
 
 def edited(folder, out, **changes):
