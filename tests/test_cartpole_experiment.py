@@ -128,6 +128,7 @@ def test_the_placebo_learns_from_as_many_dreams():
     assert [int(count[0]) for count in updates] == [3 + 3 * 4]
 
 
+@pytest.mark.slow  # as test_damage of an experiment of seconds
 def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatch):
     """SIGTERM after the second arm's first piece; what is left of it follows on resume."""
     played, original = [], Bars.tell

@@ -359,6 +359,7 @@ def test_clear_errors(bad):
         DQNConfig(**bad)
 
 
+@pytest.mark.slow  # what it learns from is checked by hand
 def test_it_finds_the_goal():
     """Without obstacles on a small board the greedy way to the goal is the shortest."""
     agent = make(

@@ -265,6 +265,7 @@ def test_dreams_are_counted_apart_and_filmed_where_the_world_says_so():
     )
 
 
+@pytest.mark.slow  # others learn
 def test_a_model_of_catch_learns_its_rules():
     """Where the ball falls and the paddle goes; what is earned takes longer."""
     options = replace(

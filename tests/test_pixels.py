@@ -193,6 +193,7 @@ def test_the_encoder_decoder_is_symmetric_and_normalised():
     assert raw.shape == (2, 16, 16, 3) and joint.shape == (2, 256)
 
 
+@pytest.mark.slow  # test_the_end_is_learned learns too
 @pytest.mark.parametrize("name", ["local", pytest.param("coder", marks=pytest.mark.slow)])
 def test_it_learns_what_it_is_shown(name, episodes):
     """Trained on a few episodes, a model predicts their frames and rewards."""

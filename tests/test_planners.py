@@ -339,6 +339,7 @@ def from_the_middle(name):
     return lambda key: FEW[name](CorridorParams(), obs, state, key)
 
 
+@pytest.mark.slow  # as check_planner in test_contract
 @pytest.mark.parametrize("name", FEW)
 def test_vmap_is_a_loop(name):
     plan = from_the_middle(name)

@@ -51,7 +51,7 @@ def ground(runs):
     )
 
 
-@pytest.mark.parametrize("runs", [1, 2])
+@pytest.mark.parametrize("runs", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_shares_are_of_what_could_be_had_in_the_same_episodes(runs):
     rows = budgets.measure(ground(runs), [LEFT, UPRIGHT], lambda said: None)
     for row in rows:
@@ -81,6 +81,7 @@ def test_who_decides_in_cartpole():
     ]  # fmt: skip
 
 
+@pytest.mark.slow  # `.ci/run` plays it by its command
 def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_path, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt

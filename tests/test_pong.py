@@ -245,7 +245,7 @@ def states():
     return jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), states)
 
 
-@pytest.mark.parametrize("scale", [1, 2, 4, 8])
+@pytest.mark.parametrize("scale", [1, pytest.param(2, marks=pytest.mark.slow), 4, 8])
 def test_a_frame_shows_its_masks(scale, states):
     """The three objects, in their colours, and nothing else on the field; the same masks come from
     the picture of the whole screen by colour, as the real game's do.

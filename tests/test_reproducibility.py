@@ -20,6 +20,7 @@ COMMANDS = {
     "cartpole-lean": [*tiny.NET["cartpole-lean"]],
     "cartpole-planners": ["cartpole", *tiny.CARTPOLE, *tiny.PLANNERS, "--arms", "mcts", "mpc_init"],
     "maze": ["maze", *tiny.MAZE, "--arms", "dyna", "oracle", "more_updates"],
+    "maze-planners": [*tiny.NET["maze-imitating"]],
     "maze-model": [*tiny.NET["maze-model"]],
     "pong": ["pong", *tiny.PONG, "--arms", "dyna", "dyna_adversarial"],
     "pong-model": ["pong", *tiny.PONG_MODEL, "--arms", "ours"],
