@@ -4,7 +4,7 @@ from typing import Any
 
 from jaxdyna.experiments.cartpole import model
 from jaxdyna.experiments.cartpole.arms import SAID, arms
-from jaxdyna.experiments.cartpole.options import LEAN, TUNED, rule
+from jaxdyna.experiments.cartpole.options import LEAN, PAPER, TUNED, rule
 from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import first_dreams
@@ -20,10 +20,11 @@ def papers(record: Any) -> tuple[dict[str, float], dict[str, float]]:
 CARTPOLE = Experiment(
     name="cartpole",
     title="CartPole",
-    presets={"tuned": TUNED, "lean": LEAN},
+    presets={"tuned": TUNED, "lean": LEAN, "paper": PAPER},
     quick={
         "tuned": {"seeds": 4, "episodes": 400, "stop_after_solved": 0},
         "lean": {"seeds": 4, "stop_after_solved": 0},
+        "paper": {"seeds": 4, "episodes": 400, "stop_after_solved": 0},
     },
     arms=arms,
     rule=rule,

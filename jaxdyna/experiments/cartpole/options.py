@@ -6,7 +6,7 @@ from typing import ClassVar, Literal, Self
 import optax
 
 from jaxdyna.agents import CloningConfig, ReinforceConfig, ReinforceHParams
-from jaxdyna.agents.reinforce import per_step
+from jaxdyna.agents.reinforce import per_step, within_episode
 from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs import CartPoleParams
 from jaxdyna.experiments.engine import Options
@@ -105,3 +105,11 @@ LEAN = changed(TUNED, {
     "hparams.model.learning_rate": 3e-3, "hparams.real_weight": 0.0,
     "hparams.dream.uncertainty_threshold": 0.3,
 })  # fmt: skip
+PAPER = changed(TUNED, {
+    "preset": "paper", "dream_start": "uniform", "agent.advantage": within_episode,
+    "dyna.dream_episodes": 1, "dyna.model_updates": 200, "dyna.model_batch": 5,
+    "model.delta": False, "model.normalise": False, "model.spread": 1.0,
+})  # fmt: skip
+"""As literally as the paper can be read; where it is silent its authors' code decides, line by line
+in ``docs/paper-method.md``.
+"""
