@@ -512,6 +512,8 @@ def test_moments_far_from_zero():
     moments = take_in(values)
     np.testing.assert_allclose(moments.mean, values.mean(), rtol=1e-6)
     np.testing.assert_allclose(moments.std, 1, rtol=0.05)
+    apart = values + 4 * (jnp.arange(300) % 2)[:, None, None]  # and of batches that differ
+    np.testing.assert_allclose(take_in(apart).std, np.sqrt(1 + 2**2), rtol=0.05)
 
 
 BATCHES, ROWS = 4, 6

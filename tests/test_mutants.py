@@ -3,6 +3,7 @@
 import ast
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -16,10 +17,12 @@ MUTANTS = mutants.all_mutants()
 PAGE = ROOT / "docs" / "reliability.md"
 
 
+@cache
 def functions(path):
-    """Names of a file's functions."""
+    """A file's functions by name: what decorates them."""
     tree = ast.parse((ROOT / path).read_text())
-    return {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    return {node.name: " ".join(map(ast.unparse, node.decorator_list)) for node in functions}
 
 
 def test_there_are_many():
@@ -40,7 +43,9 @@ def test_a_mutant_can_be_judged(mutant):
     assert mutant.tests
     for test in mutant.tests:
         path, _, name = test.partition("::")
-        assert name.partition("[")[0] in functions(path), test
+        name, parameter, _ = name.partition("[")
+        assert name in functions(path), test
+        assert not parameter or "parametrize" in functions(path)[name], test
 
 
 def test_a_patch_is_read_and_applied_wherever_its_lines_are(tmp_path):
