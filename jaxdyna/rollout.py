@@ -66,15 +66,10 @@ def rollout(
         action = act(obs, key_act, state) if sees_state else act(obs, key_act)
         if jnp.shape(action):
             raise ValueError(f"act returns an array {jnp.shape(action)}: make it a scalar")
-        next_obs, next_state, reward, terminated, truncated, info = env.step(
-            key_step, state, action, env_params
-        )
+        played = env.step(key_step, state, action, env_params)
+        _check_step(env, obs, state, played)
+        next_obs, next_state, reward, terminated, truncated, info = played
         reward = jnp.asarray(reward) * 1.0
-        if reward.shape:
-            raise ValueError(
-                f"a step of {type(env).__name__} earns an array {reward.shape}: make it a scalar; "
-                "jaxdyna.testing.check_environment finds such faults"
-            )
         kept = record(state, next_state, info) if record else ()
         terminated, truncated = jnp.asarray(terminated, bool), jnp.asarray(truncated, bool)
         truncated = truncated | ((time == num_steps - 1) & ~terminated)
@@ -105,6 +100,31 @@ def rollout(
         if least < 0 or most >= count:
             raise ValueError(f"actions are {least} to {most}: keep them within 0 to {count - 1}")
     return (played, recorded) if record else played
+
+
+def _check_step(env: Environment, obs: Any, state: Any, played: Any) -> None:
+    """Raises ValueError where a step returns what no step does."""
+    wrong = ""
+    if not (isinstance(played, tuple) and len(played) == 6):
+        wrong = "does not return obs, state, reward, terminated, truncated, info"
+    elif played[2] is None or jnp.shape(played[2]):
+        earned = "None" if played[2] is None else f"an array {jnp.shape(played[2])}"
+        wrong = f"earns {earned}: make it a scalar"
+    elif _kinds(played[0]) != _kinds(obs):
+        wrong = f"observes {_kinds(played[0])} after {_kinds(obs)}: make the two alike"
+    elif str(jax.tree.structure(played[1])) != str(jax.tree.structure(state)):
+        wrong = "returns a state of another structure than the one before it: make the two alike"
+    if wrong:
+        found = "jaxdyna.testing.check_environment finds such faults"
+        raise ValueError(f"a step of {type(env).__name__} {wrong}; {found}")
+
+
+def _kinds(obs: Any) -> str:
+    """Shapes of arrays and what is in them, whatever the precision."""
+    names = {"f": "numbers", "i": "whole numbers", "u": "bytes", "b": "bools"}
+    said = [(names.get(jnp.result_type(one).kind, "?"), jnp.shape(one))
+            for one in jax.tree.leaves(obs)]  # fmt: skip
+    return ", ".join(f"{what} {list(shape)}" for what, shape in said)
 
 
 def _concrete_max_steps(env_params: Any) -> int:

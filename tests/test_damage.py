@@ -238,6 +238,48 @@ def test_settings_of_an_unfinished_run_that_are_damaged(finished, tmp_path, monk
         ends(out, curves(finished), capsys)
 
 
+def test_the_curves_of_another_run_are_refused(finished, tmp_path, capsys):
+    out, other = tmp_path / "out", tmp_path / "other"
+    shutil.copytree(finished, out)
+    assert command(other, "--seed", "5") == 0
+    shutil.copy(other / "curves.npz", out / "curves.npz")
+    code, said = ends(out, {}, capsys)
+    assert code == 2 and "curves.npz is damaged (it is another run's than results.json)" in said
+
+
+def test_checkpoints_without_their_settings_are_named(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "out"
+    interrupted(out, monkeypatch)
+    (out / "checkpoints" / "settings.json").unlink()
+    (out / "results.json").unlink(missing_ok=True)
+    code, said = ends(out, {}, capsys)
+    assert code == 2 and "settings.json is gone: restore it" in said
+
+
+def test_what_the_user_keeps_among_checkpoints_stays(finished, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "out"
+    interrupted(out, monkeypatch)
+    (out / "checkpoints" / "notes.txt").write_text("the user's")
+    assert ends(out, curves(finished), capsys) == (0, "")
+    assert [path.name for path in (out / "checkpoints").iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize("lost", ["timing", "runs", "command", "config"])
+def test_results_that_somebody_has_edited(lost, finished, tmp_path, capsys):
+    """Without their checksum they may be."""
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
+    results = json.loads((out / "results.json").read_text())
+    del results["checksum"], results[lost]
+    (out / "results.json").write_text(json.dumps(results))
+    code, said = ends(out, curves(finished), capsys)
+    assert code == 2 and str(out) in said
+
+
+def test_resume_and_fresh_exclude_each_other(tmp_path, capsys):
+    assert "leave one out" in ends_with(tmp_path, capsys, "--resume", "--fresh")[1]
+
+
 # ---- what a resumed run must have in common
 
 
@@ -286,7 +328,7 @@ def test_time_is_right_after_a_kill(finished, tmp_path, monkeypatch):
     """Between two files of a record: the arm is known, and so is what it took."""
     out = tmp_path / "out"
 
-    def killed(path, arms):
+    def killed(*written):
         raise ZeroDivisionError
 
     with monkeypatch.context() as patch, pytest.raises(ZeroDivisionError):

@@ -105,8 +105,8 @@ def test_report_results_and_terminal_say_which_runs_where_and_why(tmp_path, caps
     assert arms["dyna"]["episodes_played"]["per_seed"] == [said["unit"] for said in broken.values()]
     report, printed = (tmp_path / "out" / "report.md").read_text(), capsys.readouterr().out
     for said in (report, " ".join(printed.split())):
-        assert "Numbers of dyna stopped being finite" in said
-        assert f"seed 0 at {broken['0']['unit']} (model); seed 1 at" in said
+        assert f"finite in dyna: seed 0 in episode {broken['0']['unit']} (model), seed 1 in" in said
+        assert "3 more runs." in said and "These runs ended there" in said
 
 
 def test_a_healthy_run_passes_where_jax_looks_for_nans(played):

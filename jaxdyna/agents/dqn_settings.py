@@ -107,4 +107,5 @@ class DQNConfig:
     def __post_init__(self) -> None:
         check(self)
         if self.n_step > self.capacity:
-            raise SettingError("n_step", f"is {self.n_step}: only {self.capacity} steps are kept")
+            said = f"is {self.capacity}: give at least n_step, {self.n_step}"
+            raise SettingError("capacity", said)

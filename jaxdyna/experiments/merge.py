@@ -51,7 +51,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         experiment, record = _merged(shards, f"{PROG} {shlex.join(argv)}", call.out)
         with folders.held(call.out):
             folders.claim(call.out, {name: record.results[name] for name in WHOSE}, fresh=False)
-            storage.write_curves(call.out / "curves.npz", record.curves)
+            whose = storage.identity(record.results)
+            storage.write_curves(call.out / "curves.npz", record.curves, whose)
             storage.write_json(call.out / "results.json", record.results)
             write_report(experiment, record)
     except ValueError as error:
@@ -119,7 +120,7 @@ def _together(shards: Shards, arms: Sequence[str]) -> dict[str, Curves]:
     """The curves of all shards by arm, run by run in the order of the seeds."""
     runs: dict[str, dict[int, Curves]] = {arm: {} for arm in arms}
     for folder, results in shards.items():
-        curves = storage.read_curves(folder / "curves.npz")
+        curves = storage.read_curves(folder / "curves.npz", storage.identity(results))
         if lacking := set(arms) - curves.keys():
             said = ", ".join(sorted(lacking))
             raise ValueError(f"{folder / 'curves.npz'} lacks {said}: copy or play it again")

@@ -92,6 +92,10 @@ def muzero(env: Environment, config: SearchConfig) -> Planner:
     return _planner(mctx, env, config, search)
 
 
+WORST = -1e6
+"""What a reward or value that is not finite counts as."""
+
+
 def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable) -> Planner:
     """mctx searches batches: this one's is of 1, and ``vmap`` makes them larger."""
 
@@ -138,8 +142,15 @@ def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable
 
 
 def _singles(numbers: Any) -> Any:
-    """In float32, whatever x64, a world and a guide say: mctx wants all nodes of the same type."""
-    return jax.tree.map(lambda number: jnp.asarray(number, jnp.float32), numbers)
+    """In float32, whatever x64, a world and a guide say: mctx wants all nodes of the same type; and
+    what is not finite is the worst, as it would win any comparison.
+    """
+
+    def single(number: Any) -> jax.Array:
+        number = jnp.asarray(number, jnp.float32)
+        return jnp.where(jnp.isfinite(number), number, WORST)
+
+    return jax.tree.map(single, numbers)
 
 
 def require_mctx() -> Any:

@@ -154,7 +154,7 @@ class Store:
 
     def seconds(self) -> float:
         """Seconds played up to the last checkpoint of any."""
-        names = {path.name.partition(".")[0] for path in self.folder.glob("block*.npz")}
+        names = {path.name.partition(".")[0] for path in self.folder.glob("block[0-9]*.npz")}
         blocks = (self.block(int(name.removeprefix("block"))) for name in names)
         return max((block.seconds() for block in blocks), default=0.0)
 

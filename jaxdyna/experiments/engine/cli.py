@@ -223,8 +223,9 @@ def _path(word: str) -> str:
 
 
 def _one_line(panel: str) -> str:
-    """The message inside a framed panel, up to its first rule."""
+    """The message inside a framed panel, up to its first rule, without a terminal's colours."""
     inside: list[str] = []
+    panel = re.sub(r"\x1b\[[0-9;]*m", "", panel)
     for line in panel.splitlines():
         text = line.strip("│╭╮╰╯─ ")
         if set(line) <= set("│─ ") and inside:

@@ -7,11 +7,10 @@ checkpoints that lie beside their ``settings.json``.
 import fcntl
 import os
 import re
-import shutil
 import socket
 import subprocess
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -96,9 +95,19 @@ def claim(folder: Path, whose: Mapping[str, str], fresh: bool) -> None:
             "drops it"
         )
     if begun is not None:
-        shutil.rmtree(folder / CHECKPOINTS)
+        clear(folder / CHECKPOINTS)
     if results is not None or moving.exists():
         _set_aside(folder)
+
+
+def clear(checkpoints: Path) -> None:
+    """Removes what a run has written there, and folders that are empty then."""
+    patterns = ("settings*.json", "measured*.json", "*/block[0-9]*.npz")
+    for file in (path for pattern in patterns for path in checkpoints.glob(pattern)):
+        file.unlink(missing_ok=True)
+    for emptied in (*checkpoints.glob("*/"), checkpoints):
+        with suppress(OSError):
+            emptied.rmdir()
 
 
 def files(folder: Path) -> list[Path]:
@@ -106,7 +115,7 @@ def files(folder: Path) -> list[Path]:
     ``results.json``, which tells whose it is, comes last.
     """
     report = folder / "report.md"
-    shown = FIGURE.findall(report.read_text(encoding="utf-8")) if report.exists() else []
+    shown = FIGURE.findall(report.read_text(encoding="utf-8")) if report.is_file() else []
     names = dict.fromkeys([*shown, "report.md", "curves.npz", "results.json"])
     return [folder / name for name in names if (folder / name).is_file()]
 

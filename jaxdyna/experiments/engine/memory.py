@@ -46,7 +46,7 @@ def afford(need: int, block: int, at_once: int, place: jax.Device) -> None:
         told, there = need * at_once / 2**30, free / 2**30
         raise InputError(
             f"{at_once} x {block} runs at a time take {told:.1f} GiB of memory or more, and "
-            f"{there:.1f} GiB are free: lower --block, --episodes or the capacity of the replays"
+            f"{there:.1f} GiB are free: lower --block, --episodes, batches or replays"
         )
 
 

@@ -80,19 +80,33 @@ def write_report(experiment: Experiment, record: Record) -> str:
     if others := record.results.get("made_otherwise"):
         said = "were played before, by other code or versions than the rest"
         head.append(f"**{', '.join(others)} {said}** (results.json says which).")
-    head += [
-        f"**Numbers of {name} stopped being finite**, and its runs there: " + "; ".join(
-            f"seed {seed} at {said['unit']} ({said['part']})"
-            for seed, said in arm["diverged"].items()
-        ) + ". Lower the learning rate of what broke." 
-        for name, arm in record.results["arms"].items() if "diverged" in arm
-    ]  # fmt: skip
+    head.append(_diverged(record))
     text = paragraphs(*(section(record) for section in experiment.sections))
     for name in record.results["arms"]:
         text = re.sub(rf"(?<!\w){re.escape(name)}", label(name), text)  # not the names of files
     text = paragraphs(*head, text) + "\n"
     storage.write_text(record.out / "report.md", text)
     return text
+
+
+def _diverged(record: Record) -> str:
+    """Which runs' numbers stopped being finite, where, and whose they were."""
+    said = []
+    for name, arm in record.results["arms"].items():
+        runs = arm.get("diverged", {})
+        unit = "episode" if "real_return" in record.curves[name] else "update"
+        each = [
+            f"seed {seed} in {unit} {one['unit']} ({one['part']})" for seed, one in runs.items()
+        ]
+        more = [f"{len(each) - 3} more runs"] if len(each) > 3 else []
+        said += [f"{name}: {', '.join(each[:3] + more)}"] if each else []
+    if not said:
+        return ""
+    return (
+        f"**Numbers stopped being finite in {'; '.join(said)}.** These runs ended there, unsolved "
+        "unless they had solved before. A model that breaks may show in the agent that dreams in "
+        "it. Lower learning rates first."
+    )
 
 
 def different(before: Results, now: Results, prefix: str = "") -> list[str]:

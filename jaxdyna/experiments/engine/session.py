@@ -6,7 +6,6 @@ import gc
 import itertools
 import json
 import shlex
-import shutil
 import signal
 import sys
 import time
@@ -94,6 +93,8 @@ def main(
 def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str) -> Session:
     """The session that a command line asks for; nothing is played yet."""
     asked = [word for word in argv if word not in ("--help", "-h", "--help-all")]
+    if {"--resume", "--fresh"} <= set(asked):
+        cli.fail("--resume goes on with unfinished work, --fresh drops it: leave one out", prog)
     if "--out=" in asked or ("--out", "") in itertools.pairwise(asked):
         cli.fail("--out is empty: name a folder, . for this one", prog)
     call, rest = cli.read(cli.Call, asked, prog, return_unknown_args=True)
@@ -237,7 +238,7 @@ class Session:
             with _deferred_interrupt(engine):
                 self._measure()
                 self._play(engine, self.arms)
-            shutil.rmtree(self.checkpoints, ignore_errors=True)
+            folders.clear(self.checkpoints)
         except jax.errors.JaxRuntimeError as error:
             if "RESOURCE_EXHAUSTED" not in str(error):
                 raise
@@ -348,6 +349,14 @@ class Session:
         """
         begun = storage.read_json(self.checkpoints / "settings.json")
         results = storage.read_json(self.out / "results.json")
+        try:
+            self._take_up_from(begun, results, whose)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(
+                f"{self.out / 'results.json'} is not as it was written ({error!r}): restore it"
+            ) from None
+
+    def _take_up_from(self, begun: Any, results: Any, whose: Mapping[str, str]) -> None:
         if not all(folders.is_of(about, whose) for about in (begun, results) if about is not None):
             raise ValueError(f"--out {self.out} has files of no such run: choose its own folder")
         finished = results and {
@@ -356,6 +365,10 @@ class Session:
             "config": {k: v for k, v in results["config"].items() if k not in NOT_SETTINGS},
         }
         before, now = begun or finished, self._identity()
+        if before is None and any(self.checkpoints.glob("*/block*.npz")):
+            raise ValueError(
+                f"{self.checkpoints / 'settings.json'} is gone: restore it, or remove that folder"
+            )
         if before is None:
             raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
         differ = [name for name in now if name != "config" and before.get(name) != now[name]]
@@ -367,7 +380,8 @@ class Session:
                 "choose another --out"
             )
         begun_with = {name: (begun or {}).get(name) for name in self.made}
-        stores = [Store(folder) for folder in self.checkpoints.glob("*/")]
+        blocks = self.checkpoints.glob("*/block[0-9]*.npz")
+        stores = [Store(folder) for folder in {block.parent for block in blocks}]
         if stores and begun_with != self.made:
             raise ValueError(
                 f"the run in {self.out} was begun with {storage.changes(begun_with, self.made)}: a "
@@ -386,7 +400,7 @@ class Session:
         }
         if results["command"] != self.command:
             self.command = f"{results['command']} && {self.command} --resume"
-        self.curves = storage.read_curves(self.out / "curves.npz")
+        self.curves = storage.read_curves(self.out / "curves.npz", storage.identity(results))
         then = {name: results.get(name) for name in ("versions", "commit", "source")}
         self.others = results.get("made_otherwise", {})
         if then["source"] != self.made["source"] or then["versions"] != self.made["versions"]:
@@ -415,7 +429,8 @@ class Session:
         setups = {entry.name: entry.options for entry in self.every}
         self.results = results_of(self.experiment, self.options, setups, self.curves, about)
         storage.write_json(self.out / "results.json", self.results)
-        storage.write_curves(self.out / "curves.npz", self.curves)  # last: it tells what is done
+        whose = storage.identity(self.results)  # the curves come last: they tell what is done
+        storage.write_curves(self.out / "curves.npz", self.curves, whose)
 
     def _report(self) -> None:
         self._write()

@@ -111,18 +111,21 @@ def _finite(value: Any) -> Any:
 
 
 def write_arrays(
-    path: Path, arrays: Curves, compressed: bool = False, before: Path | None = None
-) -> None:
-    """Writes arrays by name into one file, of NumPy's format; ``before``: see `written`."""
+    path: Path, arrays: Curves, compressed: bool = False, before: Path | None = None,
+    whose: str = "",
+) -> None:  # fmt: skip
+    """Writes arrays by name into one file, of NumPy's format; ``before``: see `written`; ``whose``:
+    what they belong to.
+    """
     save: Any = np.savez_compressed if compressed else np.savez
     with written(path, before) as part:
         with part.open("wb") as file:
             save(file, **arrays)
         with zipfile.ZipFile(part, "a") as whole:
-            whole.comment = _contents(whole)
+            whole.comment = f"{_contents(whole)} {whose}".strip().encode()
 
 
-def read_arrays(path: Path, only: Sequence[str] = ()) -> dict[str, np.ndarray]:
+def read_arrays(path: Path, only: Sequence[str] = (), whose: str = "") -> dict[str, np.ndarray]:
     """Reads what `write_arrays` wrote, or only some of it. Whole members: at their ends their own
     checksums are looked at. Files of an earlier version, without one of all, pass.
 
@@ -131,8 +134,11 @@ def read_arrays(path: Path, only: Sequence[str] = ()) -> dict[str, np.ndarray]:
     """
     try:
         with zipfile.ZipFile(path) as file:
-            if file.comment not in (b"", _contents(file)):
+            contents, _, owner = file.comment.decode().partition(" ")
+            if contents not in ("", _contents(file)):
                 raise ValueError("its checksum differs")
+            if owner and whose and owner != whose:
+                raise ValueError("it is another run's than results.json")
             names = [f"{name}.npy" for name in only] or file.namelist()
             return {
                 name.removesuffix(".npy"): np.lib.format.read_array(io.BytesIO(file.read(name)))
@@ -142,29 +148,37 @@ def read_arrays(path: Path, only: Sequence[str] = ()) -> dict[str, np.ndarray]:
         raise ValueError(f"{path} is damaged ({error})") from None
 
 
-def _contents(file: zipfile.ZipFile) -> bytes:
+def _contents(file: zipfile.ZipFile) -> str:
     """A checksum of the names and the checksums of all members."""
     said = "\n".join(f"{member.filename} {member.CRC}" for member in file.infolist())
-    return hashlib.sha256(said.encode()).hexdigest().encode()
+    return hashlib.sha256(said.encode()).hexdigest()
 
 
-def write_curves(path: Path, arms: Mapping[str, Curves]) -> None:
-    """Writes every array as ``NAME/array``."""
+def identity(results: Results) -> str:
+    """A hash of which runs a ``results.json`` is of: that of its curves says the same."""
+    config = {name: value for name, value in results["config"].items() if name != "arms"}
+    said = [results.get(name) for name in ("experiment", "part", "sweep")]
+    return _digest(_finite({"runs": [*said, results["runs"]["seeds"], config]}))
+
+
+def write_curves(path: Path, arms: Mapping[str, Curves], whose: str = "") -> None:
+    """Writes every array as ``NAME/array``; ``whose``: the `identity` of their results."""
     flat = {
         f"{arm}/{name}": values for arm, curves in arms.items() for name, values in curves.items()
     }
-    write_arrays(path, flat, compressed=True)
+    write_arrays(path, flat, compressed=True, whose=whose)
 
 
-def read_curves(path: Path) -> dict[str, dict[str, np.ndarray]]:
+def read_curves(path: Path, whose: str = "") -> dict[str, dict[str, np.ndarray]]:
     """Reads what `write_curves` wrote; nothing where there is no file.
 
     Raises:
-        ValueError: where the file is damaged.
+        ValueError: where the file is damaged, or of another `identity` than ``whose``.
     """
     arms: dict[str, dict[str, np.ndarray]] = {}
     try:
-        for name, values in (read_arrays(path) if path.exists() else {}).items():
+        arrays = read_arrays(path, whose=whose) if path.exists() else {}
+        for name, values in arrays.items():
             arm, _, array = name.rpartition("/")
             arms.setdefault(arm, {})[array] = values
     except ValueError as error:

@@ -407,7 +407,8 @@ class _Block:
             for name, values in self.pieces.items()
             if first or not name.startswith(SHOWN)
         }
-        wanted = [name for name in self.program.judging if name == "judge" or first]
+        wanted = [name for name in self.program.judging
+                  if name == "judge" or (first and not broken.any())]  # fmt: skip
         if not wanted:
             return curves
         own, own_data, hparams = self.program.row((state, data, self.hparams), row)

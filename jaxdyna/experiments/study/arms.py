@@ -128,6 +128,9 @@ def sized(config: Any, dyna: DynaConfig) -> Any:
     Raises:
         SettingError: where that is more than can be counted.
     """
+    if config.n_step > dyna.num_steps:
+        said = f"is {config.n_step}: an episode has {dyna.num_steps} steps at the most"
+        raise SettingError("agent.n_step", said)
     steps = dyna.dream_steps or dyna.num_steps
     dreams = dyna.dream_updates * dyna.dream_episodes
     fake = max(config.fake_capacity, dreams * steps)
