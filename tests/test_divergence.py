@@ -21,7 +21,9 @@ from jaxdyna.experiments.study.arms import Hooks, dyna_arm
 from jaxdyna.models import SupervisedHParams
 from jaxdyna.statistics import SolveRule
 
-HOOKS = Hooks(lambda *_: {"judged": jnp.ones(2)}, piece=2, block=32)
+HOOKS = Hooks(
+    lambda *_: {"judged": jnp.ones(2)}, lambda *_: {"film": jnp.ones(3)}, piece=2, block=32
+)
 POISON = {
     "world": {"env": CartPoleParams(max_steps=20, gravity=jnp.float32(jnp.nan))},
     "agent": {"agent": ReinforceHParams(learning_rate=jnp.inf)},
@@ -103,6 +105,8 @@ def test_report_results_and_terminal_say_which_runs_where_and_why(tmp_path, caps
     assert broken.keys() == set("012345")
     assert {said["part"] for said in broken.values()} == {"model"}
     assert arms["dyna"]["episodes_played"]["per_seed"] == [said["unit"] for said in broken.values()]
+    curves = storage.read_curves(tmp_path / "out" / "curves.npz")
+    assert "show_film" in curves["model_free"] and "show_film" not in curves["dyna"]
     report, printed = (tmp_path / "out" / "report.md").read_text(), capsys.readouterr().out
     for said in (report, " ".join(printed.split())):
         assert f"finite in dyna: seed 0 in episode {broken['0']['unit']} (model), seed 1 in" in said

@@ -466,6 +466,10 @@ def test_what_is_no_number_is_worst(nothing):
     keys = jax.random.split(jax.random.key(1), 20)
     decide = jax.jit(jax.vmap(lambda key: plan(CorridorParams(), obs, state, key).action))
     assert (decide(keys) == 1).all()
+    tree = muzero(Broken(), SearchConfig(simulations=8))
+    decide = jax.jit(jax.vmap(lambda key: tree(CorridorParams(), obs, state, key)))
+    decided = decide(jax.random.split(jax.random.key(2), 8))
+    assert (decided.action == 1).all() and jnp.isfinite(decided.value).all()
 
 
 def test_a_value_is_not_asked_for_where_the_world_has_ended():

@@ -244,6 +244,28 @@ def test_a_reward_that_is_no_scalar_is_told():
         rollout(Wide(), random_act, jax.random.key(0), PARAMS, 2, num_steps=3)
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda obs, state, reward, *rest: (obs, state, reward, *rest[:2]),
+            "does not return obs, s",
+        ),
+        (lambda obs, state, reward, *rest: (obs, state, None, *rest), "earns None"),
+        (lambda obs, *rest: (jnp.tile(obs, 2), *rest), r"observes numbers \[8\] after numbers \[4"),
+        (lambda obs, *rest: (jnp.int32(obs), *rest), "observes whole numbers"),
+        (lambda obs, state, *rest: (obs, (state,), *rest), "a state of another structure"),
+    ],
+)
+def test_what_no_step_returns_is_told(change, said):
+    class Strange(CartPole):
+        def step(self, key, state, action, params):
+            return change(*super().step(key, state, action, params))
+
+    with pytest.raises(ValueError, match=f"a step of Strange .*{said}"):
+        rollout(Strange(), random_act, jax.random.key(0), PARAMS, 2, num_steps=3)
+
+
 def test_clear_errors():
     with pytest.raises(ValueError, match="num_episodes is 0"):
         play(episodes=0)

@@ -107,5 +107,7 @@ class DQNConfig:
     def __post_init__(self) -> None:
         check(self)
         if self.n_step > self.capacity:
-            said = f"is {self.capacity}: give at least n_step, {self.n_step}"
-            raise SettingError("capacity", said)
+            said = (
+                f"is {self.n_step}, and the capacity {self.capacity} steps: raise this or lower it"
+            )
+            raise SettingError("n_step", said)

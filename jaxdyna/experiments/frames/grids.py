@@ -15,7 +15,7 @@ from jaxdyna.experiments.frames.options import FrameOptions, Training, decayed_a
 from jaxdyna.experiments.frames.report import FrameReport
 from jaxdyna.experiments.frames.training import frame_arms, frame_work
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
-from jaxdyna.fields import setting
+from jaxdyna.fields import SettingError, setting
 from jaxdyna.losses import bce, l1, l2
 from jaxdyna.models import PixelConfig, frame_probability, pixels
 from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalReward
@@ -78,6 +78,8 @@ class GridOptions(FrameOptions, ABC):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if len(set(self.stages)) < len(self.stages):
+            raise SettingError("stages", "names one twice: name each once")
         if not self.played:
             said = f"--episodes is {self.episodes}, less than the first of --stages: raise it"
             raise ValueError(said)

@@ -159,7 +159,8 @@ class FrameReport:
         if len(self.scores) == 1:
             header.append("wrong pixels")
             for row, (_, said) in zip(rows, parts, strict=True):
-                row.append(f"{100 * said['wrong']['mean']:.2f}%")
+                wrong = said["wrong"]["mean"]
+                row.append("-" if wrong is None else f"{100 * wrong:.2f}%")
         return header, rows
 
     def _table(
