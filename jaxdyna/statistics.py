@@ -16,6 +16,9 @@ from scipy.stats import binom, binomtest, rankdata, t
 from jaxdyna.fields import check, check_counts, setting
 
 Summary = dict[str, Any]
+INFINITE = 1e300
+MOST_ERRORS = 1e3
+"""An end that is so many standard errors away is no end."""
 FEW = 5
 """Runs of which there is no honest interval: their points are all that can be said."""
 
@@ -189,8 +192,9 @@ def studentised_interval(
         resamples: how many.
 
     Returns:
-        ``[low, high]``, None for an infinite end; None where there is no honest interval: of five
-        seeds or fewer, of seeds that are all alike, and where one is infinite.
+        ``[low, high]``; None where there is no honest interval: of five seeds or fewer, of seeds
+        that are all alike, or all but one or two where nothing bounds them, and where one is
+        infinite.
     """
     values = np.asarray(values, np.float64)
     known = len(values) > FEW and np.isfinite(values).all() and np.ptp(values) > 0
@@ -199,11 +203,17 @@ def studentised_interval(
     draws = np.random.default_rng(0).integers(0, len(values), (resamples, len(values)))
     mean, error = _mean_and_error(values[None], positive)
     means, errors = _mean_and_error(values[draws], positive)
-    with np.errstate(divide="ignore", invalid="ignore"):  # a resample without spread: infinity
-        pivots = np.nan_to_num((means - mean) / errors, nan=0.0, posinf=np.inf, neginf=-np.inf)
+    spread = errors > 1e-9 * error  # a resample without it, but for rounding, counts as infinite
+    pivots = np.where(
+        spread, (means - mean) / np.where(spread, errors, 1), INFINITE * (means - mean)
+    )
     high, low = np.percentile(pivots, [2.5, 97.5], method="nearest")
     ends = np.array([mean[0] - low * error[0], mean[0] - high * error[0]])
-    return [_plain(end) for end in (np.clip(np.exp(ends), 0, most) if positive else ends)]
+    if positive and np.isfinite(most):
+        return [float(end) for end in np.clip(np.exp(np.clip(ends, -700, 700)), 0, most)]
+    if max(abs(low), abs(high)) > MOST_ERRORS:
+        return None
+    return [float(end) for end in (np.exp(ends) if positive else ends)]
 
 
 def _mean_and_error(values: np.ndarray, positive: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -418,3 +418,14 @@ def test_what_is_not_finite_spoils_its_own_windows_only():
     for broken in (np.nan, np.inf, -np.inf):
         found = episodes_to_solve(np.array([[broken, *steady], [0.0, broken, 0, 0, 0, 0]]), rule)
         np.testing.assert_array_equal(found, [5, np.inf])
+
+
+@pytest.mark.parametrize("scale", [1, 0.1, 1e-7])
+def test_runs_that_are_nearly_all_alike_have_no_interval_but_the_budgets(scale):
+    """Nine of ten at 1: a third of the resamples has no spread but that of rounding."""
+    runs = scale * np.array([0.94] + 9 * [1.0])
+    assert mean_of_runs(runs)["ci95"] is None
+    low, high = summarise(1000 * runs / scale, at_least=1000)["restricted_ci95"]
+    assert 0 <= low < 994 and high == 1000
+    ends = mean_of_runs(scale * np.array([0.94, 0.96, 0.97, 0.98] + 6 * [1.0]))["ci95"]
+    assert 0.9 * scale < ends[0] < 0.985 * scale < ends[1] < 1.1 * scale
