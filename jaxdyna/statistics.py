@@ -16,7 +16,7 @@ from scipy.stats import binom, binomtest, rankdata, t
 from jaxdyna.fields import check, check_counts, setting
 
 Summary = dict[str, Any]
-INFINITE = 1e300
+INFINITE = 1e30
 MOST_ERRORS = 1e3
 """An end that is so many standard errors away is no end."""
 FEW = 5
@@ -205,7 +205,7 @@ def studentised_interval(
     means, errors = _mean_and_error(values[draws], positive)
     spread = errors > 1e-9 * error  # a resample without it, but for rounding, counts as infinite
     pivots = np.where(
-        spread, (means - mean) / np.where(spread, errors, 1), INFINITE * (means - mean)
+        spread, (means - mean) / np.where(spread, errors, 1), INFINITE * np.sign(means - mean)
     )
     high, low = np.percentile(pivots, [2.5, 97.5], method="nearest")
     ends = np.array([mean[0] - low * error[0], mean[0] - high * error[0]])
