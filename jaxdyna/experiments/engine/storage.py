@@ -216,10 +216,9 @@ def changes(before: Results, now: Results) -> str:
     if before["source"] != now["source"]:
         said.append("other code of jaxdyna or of the experiment")
     then = before["device"] or {}
-    said += [f"{name} {then.get(name)} (now {value})" for name, value in now["device"].items()
-             if then.get(name) != value]  # fmt: skip
-    if then.get("threads") != now["device"].get("threads"):
-        said[-1] += f"; NPROC={then.get('threads')} makes it so"
+    mend = {"threads": f"; NPROC={then.get('threads')} makes it so"}
+    said += [f"{name} {then.get(name)} (now {value}){mend.get(name, '')}"
+             for name, value in now["device"].items() if then.get(name) != value]  # fmt: skip
     return ", ".join(said)
 
 
@@ -261,8 +260,8 @@ def source(modules: Iterable[str] = ()) -> str:
               if (file := getattr(module, "__file__", None))]  # fmt: skip
     for name in modules:
         own = getattr(sys.modules.get(name), "__file__", None)
-        home = Path(own or PACKAGE / "").resolve().parent
-        if own and not home.is_relative_to(PACKAGE):
+        home = Path(own).resolve().parent if own else PACKAGE
+        if not home.is_relative_to(PACKAGE):
             files |= {
                 path: path.relative_to(home) for path in loaded
                 if path.is_relative_to(home) and path.suffix == ".py"
