@@ -109,13 +109,17 @@ def dqn(
     def acting(state: DQNState) -> Any:
         return state.target if config.act_by_target else state.params
 
+    def act_greedy(state: DQNState, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
+        del key, hparams
+        chex.assert_rank(obs, len(obs_shape))
+        return jnp.argmax(values(acting(state), obs[None])[0])
+
     def explore(
         state: DQNState, obs: jax.Array, key: Key, epsilon: jax.Array, odds: jax.Array
     ) -> jax.Array:
-        chex.assert_rank(obs, len(obs_shape))
         key_which, key_action = jax.random.split(key)
         exploratory = jax.random.categorical(key_action, odds)
-        best = jnp.argmax(values(acting(state), obs[None])[0])
+        best = act_greedy(state, obs, key, None)
         return jnp.where(jax.random.uniform(key_which) < epsilon, exploratory, best)
 
     def act(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
@@ -169,7 +173,10 @@ def dqn(
 
         return _where((transitions.weights > 0).any(), work, state)
 
-    return Agent(init, act, update, act_fake, update_fake, None, num_actions, DQNHParams)
+    return Agent(
+        init, act, update, act_fake, act_greedy, update_fake,
+        num_actions=num_actions, hparams=DQNHParams,
+    )  # fmt: skip
 
 
 def _check_network(network: Any, obs: jax.Array, num_actions: int) -> None:

@@ -118,6 +118,10 @@ def reinforce(
         del hparams
         return jax.random.categorical(key, logits(state.params, obs))
 
+    def act_greedy(state: Trained, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
+        del key, hparams
+        return jnp.argmax(logits(state.params, obs))
+
     def update(
         state: Trained, transitions: Transition, key: Key, hparams: ReinforceHParams
     ) -> tuple[Trained, dict[str, jax.Array]]:
@@ -146,4 +150,6 @@ def reinforce(
         new = Trained(optax.apply_updates(state.params, updates), opt_state)
         return where(valid.any(), new, state), {"loss": loss}
 
-    return Agent(init, act, update, num_actions=num_actions, hparams=ReinforceHParams)
+    return Agent(
+        init, act, update, act_greedy=act_greedy, num_actions=num_actions, hparams=ReinforceHParams
+    )

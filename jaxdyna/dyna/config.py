@@ -35,6 +35,11 @@ class DynaConfig:
         None, "The longest fake episode, in steps; None for as long as a real one.", at_least=1,
         everyday=True,
     )  # fmt: skip
+    eval_every: int = setting(
+        0, "Real episodes between evaluations of the policy as it then is, greedy, in new episodes "
+        "that nothing is learned of; 0 never.", at_least=0,
+    )  # fmt: skip
+    eval_episodes: int = setting(100, "Episodes of an evaluation.", at_least=1)
     replay_capacity: int | None = setting(
         None,
         "Newest real transitions that model and dreams know, at least one episode; None: all, or "

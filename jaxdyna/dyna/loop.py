@@ -100,7 +100,8 @@ def make_step(
     """
 
     def step(state: DynaState, episode: jax.Array, hparams: DynaHParams):
-        key, key_real, key_agent, key_model, key_dream = jax.random.split(state.key, 5)
+        keys = jax.random.split(state.key, 6)
+        key, key_real, key_agent, key_model, key_dream, key_evaluate = keys
         state = replace(state, key=key)
         dreaming = episode + 1 >= config.num_real_first
         real, recorded = _play_episode(dyna, config, state, episode, key_real, hparams)
@@ -126,6 +127,10 @@ def make_step(
             agent, dreamed = where_needed(dreaming, awake, axes, dream, state.agent)
             state = replace(state, agent=agent)
             metrics |= dreamed
+        if config.eval_every > 0:
+            due = (episode + 1) % config.eval_every == 0
+            judge = partial(evaluate, dyna, config, state.agent, key_evaluate, hparams)
+            metrics |= where_needed(due, True, axes, lambda: (None, judge()), None)[1]
         metrics["diverged"] = _diverged(real, metrics["agent_loss"], state.model)
         return state, metrics
 
@@ -180,6 +185,23 @@ def play_real(
         return dyna.agent.act(agent, obs, key, hparams.agent)
 
     return _real(dyna, config, act, key, hparams)
+
+
+def evaluate(
+    dyna: Dyna, config: DynaConfig, agent: Any, key: Key, hparams: DynaHParams
+) -> Metrics:
+    """``frozen_return``: the mean return of the agent as it is, greedy, in `DynaConfig.eval_episodes`
+    new episodes; for the arguments see `play_real`.
+    """
+    greedy = dyna.agent.act_greedy or dyna.agent.act
+
+    def act(obs: jax.Array, key: Key) -> jax.Array:
+        return greedy(agent, obs, key, hparams.agent)
+
+    played = rollout(
+        dyna.env, act, key, hparams.env, config.eval_episodes, num_steps=config.num_steps
+    )
+    return {"frozen_return": jnp.where(played.mask, played.reward, 0).sum(-1).mean()}
 
 
 def _real(dyna, config, act, key, hparams) -> tuple[Transition, Any]:

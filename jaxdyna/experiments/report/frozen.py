@@ -1,0 +1,86 @@
+"""What policies are worth as they stand: greedy, in new episodes that nothing is learned of, after
+so many real steps (`jaxdyna.dyna.DynaConfig.eval_every`). No window stands in these figures.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from jaxdyna.experiments.report import plots
+from jaxdyna.experiments.report.sections import drawn, told
+from jaxdyna.experiments.report.summaries import Curves, comparison
+from jaxdyna.experiments.report.tables import (
+    Results,
+    markdown_table,
+    median,
+    paragraphs,
+    share,
+    with_interval,
+)
+from jaxdyna.statistics import SolveRule, clopper_pearson, mean_of_runs, summarise
+
+Rule = Callable[[Any], SolveRule]
+FIRST = 50
+"""Real steps before the first snapshot; each of the others comes after twice as many as the last."""
+MOST = 8
+"""Snapshots in the table, the last ones of all."""
+
+
+def threshold(curves: Curves, rule: SolveRule) -> float:
+    """The return that is asked for: the rule's, or its share of the mean of what could be had."""
+    return rule.threshold * (np.nanmean(curves[rule.share_of]) if rule.share_of else 1)
+
+
+def snapshots(curves: Curves) -> tuple[np.ndarray, np.ndarray]:
+    """Steps ``[n]`` after which some run was still played, and of each run the return ``[runs, n]``
+    of the policy that it had after so many: the newest evaluated one of an episode that was over by
+    then, -infinity before the first; of a run that is over its last one.
+    """
+    steps, returns = _evaluated(curves)
+    latest = steps[np.isfinite(steps)].max(initial=0)
+    at = FIRST * 2 ** np.arange(max(int(np.log2(max(latest, FIRST) / FIRST)) + 1, 1))
+    newest = (steps[:, :, None] <= at).sum(1)  # policies so far
+    padded = np.concatenate([np.full((len(returns), 1), -np.inf), returns], axis=1)
+    return at, np.take_along_axis(padded, newest, axis=1)
+
+
+def _evaluated(curves: Curves) -> tuple[np.ndarray, np.ndarray]:
+    """Of each run's evaluated policies the real steps before and the return, ``[runs, policies]``,
+    infinity and NaN after its end.
+    """
+    seen = np.isfinite(curves["frozen_return"])
+    steps = np.where(seen, np.nan_to_num(curves["real_length"]).cumsum(1), np.inf)
+    order = np.argsort(steps, axis=1, kind="stable")[:, : max(int(seen.sum(1).max()), 1)]
+    return tuple(
+        np.take_along_axis(values, order, 1) for values in (steps, curves["frozen_return"])
+    )
+
+
+def describe(rule: Rule) -> Callable[[Any, Curves], Results]:
+    """``frozen``: ``real_steps_to_solve``, after which the first policy earned the rule's threshold;
+    ``snapshots``: the return of the policy after so many real steps, and how many runs' earn the
+    threshold then. Empty where no policy was evaluated.
+    """
+
+    def said(options: Any, curves: Curves) -> Results:
+        if "frozen_return" not in curves or not np.isfinite(curves["frozen_return"]).any():
+            return {}
+        asked = threshold(curves, rule(options))
+        steps, returns = _evaluated(curves)
+        good = returns >= asked
+        first = np.where(good.any(1), np.take_along_axis(
+            steps, good.argmax(1)[:, None], axis=1)[:, 0], np.inf)  # fmt: skip
+        played = np.nansum(curves["real_length"], axis=1)
+        at, worth = snapshots(curves)
+        return {"frozen": {
+            "threshold": asked,
+            "real_steps_to_solve": summarise(first, at_least=played),
+            "snapshots": {
+                str(step): mean_of_runs(np.where(np.isfinite(column), column, np.nan))
+                | {"solved": int((column >= asked).sum())}
+                for step, column in zip(at, worth.T, strict=True)
+            },
+        }}  # fmt: skip
+
+    return said
