@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom, binomtest, rankdata, t
+from scipy.stats import beta, binom, binomtest, rankdata, t
 
 from jaxdyna.fields import check, check_counts, setting
 
@@ -245,6 +245,17 @@ def mean_interval(values: np.ndarray) -> np.ndarray:
     count = len(values)
     half = t.ppf(0.975, count - 1) * values.std(0, ddof=1) / np.sqrt(count)
     return values.mean(0) + np.stack([-half, half])
+
+
+def share_interval(hits: np.ndarray) -> np.ndarray:
+    """95% intervals of the share of seeds that hit (exact, Clopper and Pearson), each of bool
+    ``[seeds, n]``: ``[2, n]``.
+    """
+    count, total = len(hits), np.sum(hits, 0)
+    with np.errstate(invalid="ignore"):
+        low = beta.ppf(0.025, total, count - total + 1)
+        high = beta.ppf(0.975, total + 1, count - total)
+    return np.stack([np.where(total == 0, 0, low), np.where(total == count, 1, high)])
 
 
 def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray, paired: bool = False) -> Summary:

@@ -92,7 +92,7 @@ TOUCHES = """
 import logging, pkgutil, sys
 from importlib import import_module
 from pathlib import Path
-import matplotlib, jax, optax, flax  # what these set is their own
+import matplotlib, numpy, jax, optax, flax  # what these set is their own
 from absl import logging as absl
 
 def settings():
@@ -105,7 +105,7 @@ import jaxdyna
 for module in pkgutil.walk_packages(jaxdyna.__path__, "jaxdyna."):
     if not module.name.endswith("__main__"):
         import_module(module.name)
-jaxdyna.experiments.report.plots.solve_bars(Path("a.png"), {}, 3, "episodes")
+jaxdyna.experiments.report.plots.solve_bars(Path("a.png"), {"a": numpy.arange(3)}, 3, "episodes")
 assert settings() == before, (settings(), before)
 assert "matplotlib.pyplot" not in sys.modules
 from jax._src.xla_bridge import backends_are_initialized

@@ -94,7 +94,7 @@ def test_lower_thresholds_are_reached_earlier(tmp_path, monkeypatch):
     drawn = {}
     played = {"dyna": [0, 0, 5, 5, 10, 10, 10, 10], "model_free": [0] * 5 + [5] * 3}
     monkeypatch.setattr(
-        plots, "bands", lambda path, panels, *rest, **more: drawn.update(panels[""])
+        plots, "bands", lambda path, panels, *rest, **more: drawn.update(panels[""]) or True
     )
     asked = SimpleNamespace(
         options=SimpleNamespace(episodes=8), out=tmp_path,

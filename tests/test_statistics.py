@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from scipy.stats import beta, binom, sem, spearmanr
+from scipy.stats import beta, binom, binomtest, sem, spearmanr
 from scipy.stats import t as scipy_t
 
 from jaxdyna.experiments.report.summaries import compare, comparison, describe_arm, restricted
@@ -24,6 +24,7 @@ from jaxdyna.statistics import (
     median_interval,
     rank_correlation,
     ratio_of_means,
+    share_interval,
     share_of_sums,
     steps_before,
     studentised_interval,
@@ -429,3 +430,9 @@ def test_runs_that_are_nearly_all_alike_have_no_interval_but_the_budgets(scale):
     assert 0 <= low < 994 and high == 1000
     ends = mean_of_runs(scale * np.array([0.94, 0.96, 0.97, 0.98] + 6 * [1.0]))["ci95"]
     assert 0.9 * scale < ends[0] < 0.985 * scale < ends[1] < 1.1 * scale
+
+
+def test_the_interval_of_a_share_is_the_exact_one():
+    hits = np.array([[False, True, True], [False, False, True], [False, True, True]] * 3)
+    expected = [binomtest(int(n), 9).proportion_ci(method="exact") for n in hits.sum(0)]
+    np.testing.assert_allclose(share_interval(hits).T, expected, atol=1e-12)

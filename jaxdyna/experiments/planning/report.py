@@ -10,8 +10,8 @@ from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report.sections import paragraphs
 from jaxdyna.experiments.report.tables import interval, markdown_table
 
-COLOURS = {"policy": plots.COLOURS["dyna"], "MPC": plots.COLOURS["mpc"],
-           "MCTS": plots.COLOURS["mcts"], "MPC to the goal": "#8c6d31"}  # fmt: skip
+COLOURS = {"policy": plots.GREEN, "MPC": plots.ORANGE, "MCTS": plots.BLUE,
+           "MPC to the goal": plots.VERMILION}  # fmt: skip
 ABOUT = (
     "Share: of the most that could be had in the same episodes (the Maze's by value iteration, "
     "CartPole's 200), with its 95% interval over the runs that learned (over the episodes "
@@ -80,24 +80,28 @@ def figure(path: Path, places: dict[str, list[Results]]) -> None:
     """Share of what could be had against milliseconds a decision, drawn as a PNG: a panel an
     environment, a line a planner, a dot a budget.
     """
-    drawn, panels = plots.subplots(1, len(places), figsize=(5.6 * len(places), 4.6), squeeze=False)
-    for panel, (name, here) in zip(panels[0], places.items(), strict=True):
+    drawn, panels = plots.laid_out(len(places), sharey=True)
+    for panel, (name, here) in zip(panels.flat, places.items(), strict=False):
         for label in dict.fromkeys(row["label"] for row in here):
             own = [row for row in here if row["label"] == label]
             own.sort(key=lambda row: row["steps"])
             share = np.array([row["share"] for row in own])
             ends = np.array([row["share_ci95"] or [row["share"]] * 2 for row in own], float)
             who, true = own[0]["who"], own[0]["world"] == "true"
-            colour = COLOURS[who.removesuffix(", learned values")]
+            told = who.endswith(", learned values")
+            colour = COLOURS.get(who.removesuffix(", learned values"), plots.BLACK)
             panel.errorbar(
                 [row["ms"] for row in own], share, yerr=np.nan_to_num(abs(ends.T - share)),
-                marker="*" if who == "policy" else "o", markersize=11 if who == "policy" else 4,
-                markerfacecolor="white" if true else colour, linestyle="--" if true else "-",
-                linewidth=1.3, elinewidth=0.8, color=colour, label=label,
+                marker="*" if who == "policy" else "s" if told else "o",
+                markersize=13 if who == "policy" else 5,
+                markerfacecolor="white" if true else colour,
+                linestyle=plots.DASHED if true else "-",
+                linewidth=1.5, elinewidth=0.8, color=colour, label=label,
             )  # fmt: skip
         panel.set_xscale("log")
-        panel.axhline(1, color=plots.FAINT, linewidth=0.8, linestyle=":")
-        plots.finish(panel, name, "milliseconds a decision, one environment (logarithmic)",
-                     fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.2))  # fmt: skip
-    panels[0, 0].set_ylabel("share of what could be had (bar: 95%)")
+        panel.axhline(1, color=plots.FAINT, linewidth=0.8, linestyle=plots.DOTTED)
+        plots.finish(panel, name, "ms a decision", legend=False)
+    for panel in panels[:, 0]:
+        panel.set_ylabel("share of what could be had\n(bar: 95% interval)")
+    plots.legend_above(drawn, panels.flat)
     plots.save(drawn, path)

@@ -14,7 +14,8 @@ from jaxdyna.statistics import SolveRule, mean_of_runs
 
 FILM_STEPS, SMOOTHED = 150, 10
 BASELINES = ("model_free", "max_updates", "more_updates")
-BLURRED = "dyna_l2"
+BLURRED, CONTROL = "dyna_l2", "more_updates"
+DRAWN = (*MAIN_ARMS, CONTROL)
 MEASURES = {
     "won": "points won an episode",
     "lost": "points lost an episode",
@@ -61,9 +62,11 @@ def cause(record: Any) -> str:
     true = sorted(name for name in record.curves if name.startswith("true_"))
     if not true or BLURRED not in record.curves:
         return ""
-    returns = {name: record.curves[name]["real_return"] for name in (BLURRED, *true)}
+    asked = [name for name in (BLURRED, *true, CONTROL) if name in record.curves]
+    returns = {name: record.curves[name]["real_return"] for name in asked}
     axis = f"real episodes (running mean of {SMOOTHED})"
-    plots.bands(record.out / "cause.png", {"point difference": returns}, axis, window=SMOOTHED)
+    said = f"point difference: mean, {plots.shaded(returns[BLURRED])}"
+    plots.bands(record.out / "cause.png", {"": returns}, axis, said, window=SMOOTHED)
     both = {name: record.results["arms"][name] for name in returns}
     return report.paragraphs(
         "## Which object's error does it",
@@ -102,8 +105,8 @@ PONG = Experiment(
     sections=(
         about, report.solving(rule), in_steps, report.equal_episodes(BASELINES),
         report.learning_curves(rule, said="point difference against real episodes",
-                               what="point difference", window=SMOOTHED, arms=MAIN_ARMS),
-        report.behaviour(MEASURES, SMOOTHED, "points.png", arms=MAIN_ARMS),
+                               what="point difference", window=SMOOTHED, arms=DRAWN),
+        report.behaviour(MEASURES, SMOOTHED, "points.png", arms=DRAWN),
         cause, report.endings(rule), final, report.arms_said(SAID), report.settings, report.spent,
     ),
 )  # fmt: skip

@@ -4,27 +4,32 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageDraw
+from matplotlib.font_manager import findfont
+from PIL import Image, ImageDraw, ImageFont
 
-from jaxdyna.experiments.report.plots import save, subplots
+from jaxdyna.experiments.report.plots import WIDTH, save, subplots
 
-SCALE, WIDEST, CAPTION_WIDTH = 16, 320, 220
+SCALE, WIDEST, CAPTION_WIDTH = 16, 320, 190
+PAGE, GAP = 830, 12
+"""Pixels across of a page, which a film is not wider than, and between two columns."""
+LETTERS = 15
+"""Of a caption: pixels, and as many where a page shows it."""
 PAUSE_MS = 160
-TITLES = ("input (older frames fainter)", "what came", "what was believed", "error")
+TITLES = ("input (older fainter)", "what came", "what was believed", "error")
 
 
 def prediction_grid(path: Path, rows: Mapping[str, Sequence[np.ndarray]], seen: np.ndarray) -> None:
     """Fig. 7: input, truth, prediction and error of a step, a row for each model: by name ``(truth,
     belief)``, each ``[H, W, 3]`` in [0, 1], as what was ``seen`` before the step.
     """
-    figure, panels = subplots(len(rows), 4, figsize=(9.2, 2.45 * len(rows)), squeeze=False)
+    figure, panels = subplots(len(rows), 4, figsize=(WIDTH, 2.25 * len(rows)), squeeze=False)
     for row, (name, (truth, belief)) in zip(panels, rows.items(), strict=True):
         for panel, picture in zip(row, (seen, truth, belief, np.abs(truth - belief)), strict=True):
             panel.imshow(np.clip(picture, 0, 1), interpolation="nearest")
             panel.set(xticks=[], yticks=[])
-        row[0].set_ylabel(name, fontsize=9)
+        row[0].set_ylabel(name)
     for panel, title in zip(panels[0], TITLES, strict=True):
-        panel.set_title(title, fontsize=9)
+        panel.set_title(title, fontsize=10)
     save(figure, path)
 
 
@@ -43,18 +48,16 @@ def trails(frames: np.ndarray) -> np.ndarray:
 
 
 def film(path: Path, columns: Mapping[str, np.ndarray], first_step: int = 1) -> None:
-    """Frames side by side as a GIF that repeats, by title uint8 ``[T, H, W, 3]``; the shortest ends
-    the film.
+    """Frames side by side as a GIF that repeats, in rows no wider than a page, by title uint8 ``[T,
+    H, W, 3]``; the shortest ends the film.
     """
     pictures = []
     for step, frames in enumerate(zip(*columns.values(), strict=False), start=first_step):
         parts = [
-            _captioned(frame, f"{name}, step {step}")
+            _captioned(frame, f"{name}\nstep {step}")
             for name, frame in zip(columns, frames, strict=True)
         ]
-        gap = np.full((parts[0].shape[0], 12, 3), 255, np.uint8)
-        joined = [piece for part in parts for piece in (part, gap)][:-1]
-        picture = Image.fromarray(np.concatenate(joined, axis=1))
+        picture = Image.fromarray(_in_rows(parts))
         # By coverage of the colours: the median cut gives a small thing the colour of a large one.
         pictures.append(picture.quantize(64, Image.Quantize.MAXCOVERAGE))
     pictures[0].save(
@@ -62,10 +65,24 @@ def film(path: Path, columns: Mapping[str, np.ndarray], first_step: int = 1) -> 
     )
 
 
+def _in_rows(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Pictures of one size ``[H, W, 3]`` in as few rows as a page takes, equally long ones."""
+    height, width, _ = parts[0].shape
+    rows = -(-len(parts) // max((PAGE + GAP) // (width + GAP), 1))
+    columns = -(-len(parts) // rows)
+    sheet = np.full((rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3), 255, np.uint8)
+    for number, part in enumerate(parts):
+        top, left = (number // columns) * (height + GAP), (number % columns) * (width + GAP)
+        sheet[top : top + height, left : left + width] = part
+    return sheet
+
+
 def _captioned(frame: np.ndarray, caption: str) -> np.ndarray:
     width = frame.shape[1]
     scale = max(min(SCALE, WIDEST // width), CAPTION_WIDTH // width, 1)
     big = frame.repeat(scale, axis=0).repeat(scale, axis=1)
-    head = Image.new("RGB", (big.shape[1], 18), "white")
-    ImageDraw.Draw(head).text((2, 3), caption, fill="black")
+    lines = caption.count("\n") + 1
+    head = Image.new("RGB", (big.shape[1], lines * (LETTERS + 4) + 4), "white")
+    font = ImageFont.truetype(findfont("DejaVu Sans"), LETTERS)
+    ImageDraw.Draw(head).multiline_text((2, 1), caption, fill="black", font=font)
     return np.concatenate([np.asarray(head), big])

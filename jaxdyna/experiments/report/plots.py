@@ -1,77 +1,115 @@
-"""Figures. Every one says in its axes and legend what is drawn, and how it was smoothed."""
+"""Figures. Every one says in its axes and legend what is drawn, and how it was smoothed.
+
+All are as wide as a page shows them, so that a letter of 10 points is some 14 pixels high there.
+Colours are Okabe and Ito's (2008), which colour-blind people tell apart; lines differ in their
+dashes as well.
+"""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import cycle, islice
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import cycle, islice, product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from jaxdyna.experiments.report import tables
 from jaxdyna.statistics import FEW, carried, mean_interval, running_mean
 
-COLOURS = {
-    "model_free": "#4c566a", "dyna": "#0f7b6c", "placebo": "#b5651d", "oracle": "#6a4c93",
-    "more_updates": "#c2185b", "mpc": "#c77700", "mcts": "#2f6db5", "mpc_init": "#a8432e",
-    "mpc_init_dyna": "#5b8c2a", "mpc_clone": "#8e5a9b", "dyna_l2": "#c0392b",
-    "dyna_adversarial": "#d08770", "true_ball": "#2e7dbd", "true_own": "#7f8c1f",
-    "true_opponent": "#888888", "true_frames": "#d4a017", "max_updates": "#e07b9a",
+WIDTH = 8.3
+"""Of every figure, in inches: 830 pixels where pages show them."""
+BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
+BLUE, VERMILION, PURPLE = "#0072b2", "#d55e00", "#cc79a7"
+SOLID, DASHED, DOTTED = "-", (0, (5, 2)), (0, (1, 1.2))
+DASH_DOTTED, LONG = (0, (6, 1.5, 1, 1.5)), (0, (9, 2))
+
+
+class Look(NamedTuple):
+    """A line's colour and dashes, as matplotlib takes them."""
+
+    color: str
+    linestyle: Any
+
+
+LOOKS = {
+    "model_free": Look(BLACK, SOLID), "dyna": Look(GREEN, SOLID),
+    "placebo": Look(ORANGE, DASH_DOTTED), "oracle": Look(BLUE, DASHED),
+    "more_updates": Look(VERMILION, DASHED), "max_updates": Look(PURPLE, DOTTED),
+    "mpc": Look(SKY, SOLID), "mcts": Look(PURPLE, DASH_DOTTED),
+    "mpc_init": Look(VERMILION, DASH_DOTTED), "mpc_init_dyna": Look(BLUE, LONG),
+    "mpc_clone": Look(ORANGE, DOTTED), "random_search": Look(PURPLE, LONG),
+    "dyna_l2": Look(SKY, LONG), "dyna_adversarial": Look(BLUE, DASH_DOTTED),
+    "true_ball": Look(ORANGE, SOLID), "true_own": Look(PURPLE, SOLID),
+    "true_opponent": Look(BLACK, DOTTED), "true_frames": Look(BLUE, SOLID),
 }  # fmt: skip
-MARK, FAINT = "#c0392b", "#888888"
+OTHERS = [
+    Look(color, linestyle)
+    for linestyle, color in product(
+        (SOLID, DASHED, DOTTED, DASH_DOTTED), (GREEN, BLUE, VERMILION, PURPLE, SKY, ORANGE, BLACK)
+    )
+]
+"""Of lines that have none of their own, one after the other."""
+REFERENCES = Look(BLUE, DOTTED), Look(VERMILION, DASH_DOTTED), Look(PURPLE, DASHED)
+"""Of levels that points are compared with."""
+MARK, FAINT = VERMILION, "#767676"
 MARKED = 5
 """Points of a line that are marked: of one alone nothing would be seen."""
 FIG5 = {
-    "truth": {"color": "#d08770", "linewidth": 3.0, "label": "real environment"},
-    "one_step": {"color": "#0f7b6c", "linewidth": 1.2, "label": "model, one step ahead"},
-    "open_loop": {"color": "#6a4c93", "linewidth": 1.2, "linestyle": "--",
+    "truth": {"color": ORANGE, "linewidth": 3.5, "label": "real environment"},
+    "one_step": {"color": BLUE, "linewidth": 1.3, "label": "model, one step ahead"},
+    "open_loop": {"color": BLACK, "linewidth": 1.3, "linestyle": DASHED,
                   "label": "model, fed with its own predictions"},
 }  # fmt: skip
 
 
 def learning_curves(
     path: Path, returns: Mapping[str, np.ndarray], threshold: float,
-    solved_at: Mapping[str, np.ndarray], real_first: int, window: int, what: str = "return",
+    solved_at: Mapping[str, np.ndarray], begins: Mapping[str, int], window: int,
+    what: str = "return",
 ) -> None:  # fmt: skip
-    """Figs. 6 and 8: a panel an arm, real return ``[seeds, episodes]``, NaN after a run's own end,
-    against real episodes, every seed faintly behind; ``solved_at`` ``[seeds]`` is infinity where
-    unsolved, ``real_first`` N, where dreaming begins, ``window`` episodes in the running mean,
-    ``what`` the returns are, on the axis.
+    """Figs. 6 and 8: all arms in one panel, the mean over runs of real returns ``[seeds,
+    episodes]``, NaN after a run's own end, against real episodes.
+
+    Args:
+        path: the PNG.
+        returns: by arm.
+        threshold: the line that a run's mean has to reach.
+        solved_at: by arm ``[seeds]``, infinity where unsolved.
+        begins: by what begins in all arms that have it, the real episode.
+        window: episodes in every line's running mean.
+        what: the returns are, on the axis.
     """
-    figure, panels = laid_out(len(returns), sharex=True, sharey=True)
+    figure, panel = subplots(figsize=(WIDTH, 5.0))
     early = any(np.isnan(values).any() for values in returns.values())
-    over = " (one that is over keeps its last value)" if early else ""
-    for letter, panel, name in zip("abcdefgh", panels.flat, returns, strict=False):
-        values = returns[name]
-        shade, smooth = colour(name), running_mean(values, window)
-        numbers = np.arange(1, values.shape[1] + 1)
-        panel.plot(numbers, smooth[:50].T, color=shade, alpha=0.18, linewidth=0.7)
-        said = f"mean of {len(values)} seeds{over}, {shaded(values)}"
-        band(panel, carried(smooth), shade, said)
-        panel.axhline(threshold, color=MARK, linewidth=1, linestyle="--",
-                      label=f"solved: {threshold:g}")  # fmt: skip
-        if not name.startswith(("model_free", "max_updates")):
-            begins = "planner begins" if name.startswith(("mpc", "mcts")) else "dreams begin"
-            panel.axvline(real_first, color=FAINT, linewidth=1, linestyle=":",
-                          label=f"{begins}: {real_first}")  # fmt: skip
-        solved = solved_at[name][np.isfinite(solved_at[name])]
-        said = f"{len(solved)}/{len(solved_at[name])} solved"
-        said += f", mean after {solved.mean():.0f}" if len(solved) == len(solved_at[name]) else ""
-        finish(panel, f"({letter}) {tables.label(name)}: {said}", "real episodes", legend=False)
-    for panel in panels[:, 0]:
-        panel.set_ylabel(f"{what} (running mean of {window})")
-    legend_above(figure, panels.flat)
+    for (name, values), look in zip(returns.items(), looks([*returns]), strict=True):
+        at = solved_at[name]
+        said = f"{tables.label(name)}: {np.isfinite(at).sum()}/{len(at)} solved"
+        said += f", mean {at.mean():.0f}" if np.isfinite(at).all() else ""
+        band(panel, carried(running_mean(values, window)), look, said)
+    panel.axhline(threshold, color=FAINT, linewidth=1, linestyle=DASHED,
+                  label=f"solved: {threshold:g}")  # fmt: skip
+    for said, episode in begins.items():
+        panel.axvline(episode, color=FAINT, linewidth=1.2, linestyle=DOTTED,
+                      label=f"{said}: {episode}")  # fmt: skip
+    over = "; a run that is over keeps its last value" if early else ""
+    finish(panel, x=f"real episodes (running mean of {window}{over})",
+           y=f"{what}: mean, {shaded(values)}", legend=False)  # fmt: skip
+    legend_above(figure, [panel])
     save(figure, path)
 
 
 def bands(
     path: Path, panels: Mapping[str, Mapping[str, np.ndarray]], x: str, y: str = "", *,
     window: int | None = None, at: np.ndarray | None = None,
-    dots: Mapping[str, Sequence[int]] | None = None, legend: str | None = None, **axes: Any,
-) -> None:  # fmt: skip
-    """Means over seeds, `shaded`: panels by title, in each of them lines by name.
+    dots: Mapping[str, Sequence[int]] | None = None, legend: str | None = None,
+    interval: Callable[[np.ndarray], Any] | None = None, **axes: Any,
+) -> bool:  # fmt: skip
+    """Means over seeds, `shaded`: panels by title, in each of them lines by name. Panels in which
+    nothing varies are left out, and where that is all of them there is no figure.
 
     Args:
         path: the PNG.
@@ -83,23 +121,38 @@ def bands(
         at: other numbers than 1 to n.
         dots: by name, positions of dots on the line.
         legend: its title.
+        interval: what is shaded instead, ``[seeds, n] -> [2, n]``.
         axes: of every panel, as ``matplotlib.axes.Axes.set`` takes them.
+
+    Returns:
+        Whether there is a figure.
     """
+    panels = {title: lines for title, lines in panels.items() if _vary(lines.values())}
+    if not panels:
+        path.unlink(missing_ok=True)  # of an earlier record in the same place
+        return False
     figure, drawn = laid_out(len(panels), sharey=bool(y))
     names = list(dict.fromkeys(name for lines in panels.values() for name in lines))
-    shades = dict(zip(names, colours(names), strict=True))
+    own = dict(zip(names, looks(names), strict=True))
     for panel, (title, lines) in zip(drawn.flat, panels.items(), strict=False):
         for name, values in lines.items():
             shown = carried(running_mean(values, window)) if window else values
             marker = "o" if dots or shown.shape[1] <= MARKED else None
-            band(panel, shown, shades[name], tables.label(name), at, marker=marker,
+            band(panel, shown, own[name], tables.label(name), at, interval, marker=marker,
                  markersize=5, markevery=(dots or {}).get(name))  # fmt: skip
         panel.set(**axes)
-        finish(panel, title, x, legend=False)
+        finish(panel, textwrap.fill(title, 84 // drawn.shape[1]), x, legend=False)
     for panel in drawn[:, 0]:
         panel.set_ylabel(y)
     legend_above(figure, drawn.flat, legend)
     save(figure, path)
+    return True
+
+
+def _vary(values: Iterable[np.ndarray]) -> bool:
+    """Whether there is more than one number in all of them."""
+    known = np.concatenate([np.empty(0), *(one[np.isfinite(one)] for one in values)])
+    return bool(known.size and np.ptp(known) > 0)
 
 
 def prediction_figure(
@@ -109,7 +162,7 @@ def prediction_figure(
     ``truth``, ``one_step`` and ``open_loop``, each ``[T, variables]``.
     """
     rows, columns = len(variables), len(episodes)
-    size = (5.2 * columns, 1.55 * rows)
+    size = (WIDTH, 1.5 * rows + 0.4)
     figure, panels = subplots(rows, columns, figsize=size, sharex="col", squeeze=False)
     for column, (title, series) in zip(panels.T, episodes.items(), strict=True):
         for row, panel in enumerate(column):
@@ -119,35 +172,41 @@ def prediction_figure(
             low, high = np.nanmin(shown), np.nanmax(shown)
             margin = max(0.25 * (high - low), 0.05)
             panel.set_ylim(low - margin, high + margin)
-            panel.tick_params(labelsize=8)
             finish(panel, legend=False)
-        column[0].set_title(title, loc="left", fontsize=10)
+        column[0].set_title(title, loc="left", fontsize=11)
         column[-1].set_xlabel("step")
     for panel, name in zip(panels[:, 0], variables, strict=True):
-        panel.set_ylabel(name, fontsize=9)
+        panel.set_ylabel(name)
     legend_above(figure, panels.flat)
     save(figure, path)
 
 
-def solve_bars(path: Path, solved_at: Mapping[str, np.ndarray], limit: int, axis: str) -> None:
+def solve_bars(path: Path, solved_at: Mapping[str, np.ndarray], limit: int, axis: str) -> bool:
     """When many settings solved (``[seeds]``): every seed a dot, the mean a bar; on the right the
-    unsolved, infinity, each counted as ``limit``.
+    unsolved, infinity, each counted as ``limit``. Returns whether there is a figure: not where all
+    are the same.
     """
-    figure, panel = subplots(figsize=(8.5, 0.42 * len(solved_at) + 1.4))
+    if not _vary(np.minimum(values, limit) for values in solved_at.values()):
+        path.unlink(missing_ok=True)
+        return False
+    names = [textwrap.fill(name, 36) for name in solved_at]
+    lines = sum(1 + name.count("\n") for name in names)
+    figure, panel = subplots(figsize=(WIDTH, 0.2 * len(names) + 0.2 * lines + 1.4))
     jitter = np.random.default_rng(0)
     for row, (name, values) in enumerate(solved_at.items()):
         shown = np.where(np.isfinite(values), values, limit * 1.03)
         spread = row + jitter.uniform(-0.22, 0.22, len(values))
-        panel.scatter(shown, spread, s=14, alpha=0.6, color=colour(name), linewidth=0)
+        panel.scatter(shown, spread, s=16, alpha=0.6, color=look(name).color, linewidth=0)
         mean = np.minimum(values, limit).mean()
         panel.plot([mean, mean], [row - 0.36, row + 0.36], color="black", linewidth=2)
-    panel.axvline(limit, color=MARK, linewidth=1, linestyle="--")
-    panel.text(limit * 1.012, -0.6, "unsolved", color=MARK, fontsize=8, va="bottom")
-    panel.set_yticks(range(len(solved_at)), list(solved_at), fontsize=8)
-    panel.set_ylim(len(solved_at) - 0.4, -0.6)
+    panel.axvline(limit, color=MARK, linewidth=1, linestyle=DASHED)
+    panel.text(limit, -0.65, "unsolved", color=MARK, va="bottom", ha="center")
+    panel.set_yticks(range(len(names)), names)
+    panel.set_ylim(len(names) - 0.4, -0.6)
     finish(panel, x=f"{axis}\n(dot: a seed; bar: mean, an unsolved seed counted as {limit})",
            legend=False)  # fmt: skip
     save(figure, path)
+    return True
 
 
 def error_scatter(
@@ -155,40 +214,74 @@ def error_scatter(
     lines: Mapping[str, float], x: str, y: str, hollow: Sequence[str],
 ) -> None:  # fmt: skip
     """A model's error (``x``) against what it takes to solve with it (``y``), both ``[seeds]``: a
-    numbered dot a setting, some hollow, with 95% intervals both ways; lines at the means of those
-    without a model.
+    numbered dot a setting, some hollow, `shaded` both ways; lines at the means of those without a
+    model.
     """
-    figure, panel = subplots(figsize=(9.5, 4.8))
-    shade = COLOURS["dyna"]
+    figure, panel = subplots(figsize=(WIDTH, 5.0 + 0.11 * len(error)))
+    shade = LOOKS["dyna"].color
+    labels: dict[str, tuple[float, float]] = {}
     for number, (name, values) in enumerate(error.items(), start=1):
-        means = [one.mean() for one in (values, solved_at[name])]
+        means = values.mean(), solved_at[name].mean()
         across, up = (
-            abs(mean_interval(one[:, None]) - one.mean()) for one in (values, solved_at[name])
+            abs(np.array(around(one[:, None])) - one.mean()) for one in (values, solved_at[name])
         )
-        panel.errorbar(
-            *means, up, across, fmt="o", color=shade, markersize=5, elinewidth=0.6,
-            markerfacecolor="white" if name in hollow else shade, label=f"{number}  {name}",
-        )  # fmt: skip
-        panel.annotate(str(number), means, (4, 4), textcoords="offset points", fontsize=8)
-    for name, level in lines.items():
-        panel.axhline(level, color=MARK, linewidth=1, linestyle="--")
-        panel.text(0.995, level, name, color=MARK, fontsize=7, va="bottom", ha="right",
-                   transform=panel.get_yaxis_transform())  # fmt: skip
+        panel.errorbar(*means, up, across, color=shade, linestyle="", elinewidth=0.8, alpha=0.35)
+        said = textwrap.fill(f"{number}  {name}", 46, subsequent_indent="      ")
+        panel.plot(*means, "o", color=shade, markersize=6, label=said,
+                   markerfacecolor="white" if name in hollow else shade)  # fmt: skip
+        labels[str(number)] = means
+    for (name, level), own in zip(lines.items(), REFERENCES, strict=False):
+        panel.axhline(level, label=name, linewidth=1.5, **own._asdict())
     panel.set_xscale("log")
-    finish(panel, x=x, y=y, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    finish(panel, x=f"{x}; bars: {shaded(next(iter(error.values())))}", y=y, legend=False)
+    handles, said = panel.get_legend_handles_labels()
+    figure.legend(handles, said, loc="outside lower left", ncols=2, fontsize=9, frameon=False)
+    figure.draw_without_rendering()  # only now it is known where the points lie
+    apart(panel, labels)
     save(figure, path)
 
 
-def band(panel: Axes, values: np.ndarray, shade: str, label: str, x: Any = None, **line: Any):
+def apart(panel: Axes, labels: Mapping[str, tuple[float, float]]) -> None:
+    """Short labels near their points ``(x, y)``, each at the nearest place that covers neither a
+    point nor a label before it, with a line to its point where that is not beside it.
+    """
+    at = panel.transData.transform(np.array([*labels.values()]))
+    size = np.array([13.5, 11.0]) * panel.figure.dpi / 72  # of two digits
+    taken = [*at]
+    turns = np.linspace(0, 2 * np.pi, 16, endpoint=False) + np.pi / 4
+    ways = [np.array([np.cos(turn), np.sin(turn)]) for turn in turns]
+    for (text, point), here in zip(labels.items(), at, strict=True):
+        places = [here + far * size * way for far in (1.0, 1.6, 2.4, 3.4, 4.6) for way in ways]
+        free = [place for place in places
+                if all((abs(place - other) > size).any() for other in taken)]  # fmt: skip
+        place = (free or places)[0]
+        taken.append(place)
+        offset = (place - here) * 72 / panel.figure.dpi
+        line = {"arrowstyle": "-", "color": FAINT, "linewidth": 0.7}
+        far_off = np.linalg.norm((place - here) / size) > 1.2
+        panel.annotate(text, point, offset, textcoords="offset points", ha="center", va="center",
+                       arrowprops=line if far_off else None,
+                       path_effects=[withStroke(linewidth=2.5, foreground="white")])  # fmt: skip
+
+
+def band(
+    panel: Axes, values: np.ndarray, look: Look, label: str, x: Any = None,
+    interval: Callable[[np.ndarray], Any] | None = None, **line: Any,
+) -> None:  # fmt: skip
     """The mean over seeds of ``[seeds, n]``, `shaded`, against 1 to n or ``x``."""
     x = np.arange(1, values.shape[1] + 1) if x is None else x
-    ends = mean_interval(values) if len(values) > FEW else (values.min(0), values.max(0))
-    panel.fill_between(x, *ends, color=shade, alpha=0.2, linewidth=0)
-    panel.plot(x, values.mean(0), color=shade, label=label, linewidth=1.6, **line)
+    low, high = (interval or around)(values)
+    panel.fill_between(x, low, high, color=look.color, alpha=0.13, linewidth=0)
+    panel.plot(x, values.mean(0), label=label, linewidth=1.8, **look._asdict(), **line)
+
+
+def around(values: np.ndarray) -> Any:
+    """The ends of what is shaded around the mean of ``[seeds, n]``, each ``[n]``."""
+    return mean_interval(values) if len(values) > FEW else (values.min(0), values.max(0))
 
 
 def shaded(values: np.ndarray) -> str:
-    """What is shaded around the mean of ``[seeds, n]``."""
+    """What that is, in words."""
     return "95% interval" if len(values) > FEW else "lowest to highest"
 
 
@@ -196,11 +289,11 @@ def finish(
     panel: Axes, title: str = "", x: str = "", y: str = "", *, legend: bool = True, **placed: Any
 ) -> None:
     """Title, axes, a legend (``placed`` so), and no box around them."""
-    panel.set_title(title, loc="left", fontsize=10)
+    panel.set_title(title, loc="left", fontsize=11)
     panel.set(xlabel=x, ylabel=y)
     panel.spines[["top", "right"]].set_visible(False)
     if legend:
-        panel.legend(**{"fontsize": 8, "frameon": False} | placed)
+        panel.legend(**{"fontsize": 10, "frameon": False} | placed)
 
 
 def legend_above(figure: Figure, panels: Iterable[Axes], title: str | None = None) -> None:
@@ -210,21 +303,21 @@ def legend_above(figure: Figure, panels: Iterable[Axes], title: str | None = Non
         for panel in panels
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
     }
-    fit = int(13 * figure.get_figwidth() / (6 + max(map(len, named), default=0)))
+    fit = int(12 * figure.get_figwidth() / (6 + max(map(len, named), default=0)))
     figure.legend(list(named.values()), list(named), loc="outside upper center",
-                  ncols=max(1, min(4, fit)), fontsize=8, frameon=False, title=title,
-                  title_fontsize=8)  # fmt: skip
+                  ncols=max(1, min(4, fit)), fontsize=10, frameon=False, title=title,
+                  title_fontsize=10, handlelength=2.8)  # fmt: skip
 
 
-def colour(name: str) -> str:
+def look(name: str) -> Look:
     """An arm's, wherever it appears; "arm, changed so" and "arm@setting" have the arm's."""
-    return COLOURS.get(re.split("[,@]", name)[0], COLOURS["dyna"])
+    return LOOKS.get(re.split("[,@]", name)[0], LOOKS["dyna"])
 
 
-def colours(names: Sequence[str]) -> list[str]:
+def looks(names: Sequence[str]) -> list[Look]:
     """Of lines in one figure: the arms' own, or one after the other where some would be alike."""
-    own = [colour(name) for name in names]
-    return own if len(set(own)) == len(own) else list(islice(cycle(COLOURS.values()), len(own)))
+    own = [look(name) for name in names]
+    return own if len(set(own)) == len(own) else list(islice(cycle(OTHERS), len(own)))
 
 
 def swept_map(
@@ -234,9 +327,8 @@ def swept_map(
     values by dotted path, ``solved`` summaries of runs, an unsolved one at the least it can be.
     """
     (rows, row_values), (columns, column_values) = sweep.items()
-    size = (1.5 + (2.4 + 0.7 * len(column_values)) * len(solved), 2.2 + 0.5 * len(row_values))
-    figure, panels = subplots(1, len(solved), figsize=size, squeeze=False)
-    for panel, (name, each) in zip(panels.flat, solved.items(), strict=True):
+    figure, panels = laid_out(len(solved), height=1.6 + 0.4 * len(row_values))
+    for panel, (name, each) in zip(panels.flat, solved.items(), strict=False):
         shape = len(row_values), len(column_values)
         grid = np.reshape([one["restricted_mean"] for one in each], shape)
         picture = panel.imshow(grid, cmap="viridis_r", aspect="auto")
@@ -258,11 +350,13 @@ def subplots(
     return figure, figure.subplots(rows, columns, **shared)
 
 
-def laid_out(count: int, **shared: bool) -> tuple[Figure, np.ndarray]:
-    """A figure of so many panels in rows of three or fewer, and the panels ``[rows, columns]``."""
+def laid_out(count: int, height: float = 3.2, **shared: bool) -> tuple[Figure, np.ndarray]:
+    """A figure of so many panels, each so many inches high, in rows of three or fewer, and the
+    panels ``[rows, columns]``.
+    """
     columns = {1: 1, 2: 2, 4: 2}.get(count, 3)
     rows = -(-count // columns)
-    size = (2.2 + 3.4 * columns, 0.5 + 3.5 * rows)
+    size = (WIDTH, (1.0 + (columns == 1)) + height * rows)
     figure, panels = subplots(rows, columns, figsize=size, squeeze=False, **shared)
     for spare in panels.flat[count:]:
         spare.remove()
@@ -271,4 +365,4 @@ def laid_out(count: int, **shared: bool) -> tuple[Figure, np.ndarray]:
 
 def save(figure: Figure, path: Path) -> None:
     """Writes the PNG."""
-    figure.savefig(path, dpi=120)
+    figure.savefig(path, dpi=150)

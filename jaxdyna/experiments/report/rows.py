@@ -25,8 +25,8 @@ def rows(record: Any, column: str = "episodes_to_solve") -> str:
             f"{whole(dreams['fake_return'])} / {whole(dreams['real_return'])}" if dreams else "-",
         ]
     solved = {name: per_seed(arm[column]) for name, arm in results["arms"].items()}
-    plots.solve_bars(record.out / "variants.png", solved, limit(results["arms"], column),
-                     column.replace("_", " "))  # fmt: skip
+    there = plots.solve_bars(record.out / "variants.png", solved, limit(results["arms"], column),
+                             column.replace("_", " "))  # fmt: skip
     return paragraphs(
         f"{tables.runs(len(results['runs']['seeds']))} of each row. The first row is the "
         f"`{options.preset}` preset; every other one changes what it says. "
@@ -37,7 +37,7 @@ def rows(record: Any, column: str = "episodes_to_solve") -> str:
         tables.markdown_table(
             ["row", *header, "ratio to the first row", "fake / real return"], lines
         ),
-        "![every run of every row](variants.png)",
+        "![every run of every row](variants.png)" if there else "",
     )
 
 

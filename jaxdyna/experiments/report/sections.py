@@ -18,7 +18,14 @@ from jaxdyna.experiments.report.tables import (
     runs,
     with_interval,
 )
-from jaxdyna.statistics import FEW, SolveRule, episodes_to_solve, mean_of_runs, summarise
+from jaxdyna.statistics import (
+    FEW,
+    SolveRule,
+    episodes_to_solve,
+    mean_of_runs,
+    share_interval,
+    summarise,
+)
 
 Section = Callable[[Any], str]
 Rule = Callable[[Any], SolveRule]
@@ -115,7 +122,9 @@ def thresholds(record: Any, rule: Rule) -> str:
 
     lines = {name: needed(curves) for name, curves in drawn(record, ()).items()}
     axis = "threshold, as a share of the rule's"
-    plots.bands(record.out / "thresholds.png", {"": lines}, axis, "episodes to solve", at=LOWERED)
+    axes = axis, f"episodes to solve: mean, {plots.shaded(next(iter(lines.values())))}"
+    if not plots.bands(record.out / "thresholds.png", {"": lines}, *axes, at=LOWERED):
+        return ""
     said = ""
     if {"dyna", "model_free"} <= lines.keys():
         ratios = lines["dyna"].mean(0) / lines["model_free"].mean(0)
@@ -142,16 +151,27 @@ def learning_curves(
     record: Any, rule: Rule, name: str = "returns.png", said: str = "return against real episodes",
     what: str = "return", window: int | None = None, arms: Sequence[str] = (),
 ) -> str:  # fmt: skip
-    """Real return against real episodes, a panel an arm, and the share of runs that have solved."""
+    """Real return against real episodes, all arms in one panel, and the share of runs that have
+    solved.
+    """
     solves, returns, at = rule(record.options), {}, {}
     for arm, curves in drawn(record, arms).items():
         whole = curves[solves.share_of] if solves.share_of else 1
         returns[arm] = curves["real_return"] / whole
         at[arm] = episodes_to_solve(solves.score(curves), solves)
+    first, kinds = record.options.dyna.num_real_first, {_begun(arm) for arm in returns} - {""}
     plots.learning_curves(record.out / name, returns, solves.threshold, at,
-                          record.options.dyna.num_real_first, window or min(solves.window, 20),
-                          what)  # fmt: skip
+                          dict.fromkeys([" and ".join(sorted(kinds))] if kinds else [], first),
+                          window or min(solves.window, 20), what)  # fmt: skip
     return paragraphs(f"![{said}]({name})", solved_share(rule)(record))
+
+
+def _begun(arm: str) -> str:
+    """What begins in an arm after the first N real episodes."""
+    if arm.startswith(("mpc", "mcts")):
+        return "planners begin"
+    alone = ("model_free", "max_updates", "more_updates", "random_search")
+    return "" if arm.startswith(alone) else "dreams begin"
 
 
 @told
@@ -164,9 +184,17 @@ def solved_share(record: Any, rule: Rule) -> str:
         at = episodes_to_solve(solves.score(curves), solves)
         played = int(np.isfinite(curves["real_return"]).sum(1).max())
         solved[name] = (at[:, None] <= np.arange(1, played + 1)).astype(float)
-    said = f"share of the runs that have solved, {plots.shaded(at)}"
-    plots.bands(record.out / "solved.png", {"": solved}, "real episodes", said, ylim=(-0.02, 1.02))
-    return "![share of the runs that have solved](solved.png)"
+    there = plots.bands(
+        record.out / "solved.png", {"": solved}, "real episodes",
+        "share of the runs that have solved,\n95% interval (Clopper and Pearson)",
+        interval=_from_the_first, ylim=(-0.02, 1.02),
+    )  # fmt: skip
+    return "![share of the runs that have solved](solved.png)" if there else ""
+
+
+def _from_the_first(solved: np.ndarray) -> np.ndarray:
+    """`share_interval` once a run has solved: before, all arms' are the same."""
+    return np.where(solved.any(0), share_interval(solved), np.nan)
 
 
 def drawn(record: Any, arms: Sequence[str]) -> Mapping[str, Any]:
@@ -189,8 +217,9 @@ def behaviour(
     panels = {title: lines for title, lines in panels.items() if lines}
     if not panels:
         return ""
-    axis = f"real episodes (running mean of {window})"
-    plots.bands(record.out / name, panels, axis, window=window, ylim=(0, None))
+    axis = f"real episodes\n(running mean of {window})"
+    if not plots.bands(record.out / name, panels, axis, window=window, ylim=(0, None)):
+        return ""
     return paragraphs(said, f"![{', '.join(panels)}]({name})")
 
 
@@ -217,7 +246,8 @@ def swept(record: Any) -> str:
         }  # fmt: skip
         said = plots.shaded(np.array(record.results["runs"]["seeds"]))
         axes = "real episodes (running mean of 20)", f"return: mean of runs, {said}"
-        plots.bands(file, panels, *axes, window=20, legend=next(iter(sweep)))
+        if not plots.bands(file, panels, *axes, window=20, legend=next(iter(sweep))):
+            return ""
     return f"![swept: {', '.join(sweep)}](sweep.png)"
 
 
