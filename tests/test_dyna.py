@@ -10,6 +10,7 @@ import pytest
 from parts import AGENT, DYNA, ENV, MODEL_FREE, ORACLE, SMALL, assert_close, assert_same, hparams
 
 from jaxdyna import sweep
+from jaxdyna.agents import ReinforceHParams
 from jaxdyna.dyna import DynaConfig, make_advance, make_init, make_train, survived
 from jaxdyna.replay import memory
 from jaxdyna.sweep import AXES
@@ -213,3 +214,34 @@ def test_only_who_waits_for_the_first_dream_needs_so_many_episodes():
     make_init(MODEL_FREE, late), make_init(WITHOUT_DREAMS, late)
     with pytest.raises(ValueError, match=r"num_real_first \(N\) is 7 but .* lower N or raise"):
         make_train(DYNA, late)
+
+
+def test_evaluations_change_nothing_of_a_run(dyna_run):
+    state, metrics = dyna_run
+    judged, seen = train(DYNA, replace(SMALL, eval_every=3, eval_episodes=4))
+    returns = np.asarray(seen.pop("frozen_return"))
+    assert_same(judged, state)
+    assert_same(seen, metrics)
+    assert np.isfinite(returns).tolist() == [False, False, True] * 2
+    assert ((returns[2::3] > 5) & (returns[2::3] <= 20)).all()
+
+
+def test_an_evaluation_is_of_the_greedy_policy():
+    config = replace(SMALL, num_episodes=1, eval_every=1, eval_episodes=3)
+    agent = AGENT._replace(act_greedy=lambda state, obs, key, hparams: jnp.int32(obs[2] > 0))
+    worse = AGENT._replace(act_greedy=lambda state, obs, key, hparams: jnp.int32(obs[2] <= 0))
+    returns = [
+        float(train(MODEL_FREE._replace(agent=one), config)[1]["frozen_return"][0])
+        for one in (agent, worse)
+    ]
+    assert returns[0] == 20 > returns[1] + 5
+
+
+def test_a_greedy_action_is_the_likeliest():
+    state = AGENT.init(jax.random.key(0), ReinforceHParams())
+    keys = jax.random.split(jax.random.key(1), 2000)
+    for obs in 2 * jax.random.normal(jax.random.key(2), (5, 4)):
+        drawn = jax.vmap(lambda key, obs=obs: AGENT.act(state, obs, key, None))(keys)
+        greedy = int(AGENT.act_greedy(state, obs, jax.random.key(3), None))
+        share = float((drawn == greedy).mean())
+        assert share > 0.47, share

@@ -75,6 +75,10 @@ class ReinforceConfig:
     hidden: tuple[int, ...] = setting(
         (8,), "Widths of the policy's hidden layers.", at_least=1, everyday=True
     )
+    output_variance: float = setting(
+        1.0, "Variance of the policy's initial output weights, see jaxdyna.networks.MLP: a small one "
+        "begins with all actions alike.", above=0,
+    )  # fmt: skip
     advantage: Callable[[jax.Array, jax.Array], jax.Array] = setting(
         no_baseline,
         "What is done against the returns' variance, (returns [N, T], valid [N, T]) -> [N, T]: "
@@ -87,12 +91,16 @@ class ReinforceConfig:
         check(self)
 
 
+def _network(num_actions: int, config: ReinforceConfig) -> MLP:
+    return MLP((*config.hidden, num_actions), output_variance=config.output_variance)
+
+
 def policy_logits(
     num_actions: int, config: ReinforceConfig
 ) -> Callable[[Any, jax.Array], jax.Array]:
     """``(params, obs [*obs]) -> [A]``: the log odds that an agent of `reinforce` acts by."""
     check_counts(num_actions=num_actions)
-    network = MLP((*config.hidden, num_actions))
+    network = _network(num_actions, config)
 
     def logits(params: Any, obs: jax.Array) -> jax.Array:
         return jnp.asarray(network.apply(params, obs.reshape(-1).astype(jnp.float32)))
@@ -107,7 +115,7 @@ def reinforce(
     config = config or ReinforceConfig()
     check_shape(obs_shape=obs_shape)
     logits = policy_logits(num_actions, config)
-    network = MLP((*config.hidden, num_actions))
+    network = _network(num_actions, config)
 
     def init(key: Key, hparams: ReinforceHParams) -> Trained:
         params = network.init(key, jnp.zeros(obs_shape, jnp.float32).reshape(-1))

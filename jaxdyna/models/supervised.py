@@ -54,6 +54,10 @@ class SupervisedConfig:
         1, "Members of the ensemble, each with its own initial weights and its own resampling of "
         "every batch; a prediction is their mean.", at_least=1, everyday=True,
     )  # fmt: skip
+    one_member: bool = setting(
+        False, "Every prediction is that of a member drawn at random (TS1 of Chua et al. 2018), "
+        "not their mean: a policy has to do well whichever of them is right.",
+    )  # fmt: skip
     weight_variance: float = setting(
         1.0, "Variance of the initial weights, see jaxdyna.networks.MLP.", above=0
     )
@@ -147,10 +151,13 @@ def supervised(
         )
         target = scaled * spread * params.targets.std + params.targets.mean
         next_obs = obs + target if config.delta else target
+        said = next_obs, reward, jax.nn.sigmoid(logit)
+        member_of = jax.random.randint(key, (), 0, config.ensemble)
+        whole = [each[member_of] if config.one_member else each.mean(0) for each in said]
         return Prediction(
-            next_obs=as_held(next_obs.mean(0), obs),
-            reward=reward.mean(0),
-            terminated=jax.nn.sigmoid(logit).mean(0),
+            next_obs=as_held(whole[0], obs),
+            reward=whole[1],
+            terminated=whole[2],
             uncertainty=spread * scaled.std(axis=0).max(),
         )
 

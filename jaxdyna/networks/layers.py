@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
@@ -33,18 +35,24 @@ class MLP(Sized):
         weight_variance: times the number of inputs, the variance of a weight at the start: 1 is
             LeCun's, 1/3 the uniform one that PyTorch's layers (the authors' code) start from.
             Smaller features keep plain SGD stable at larger learning rates.
+        output_variance: the same of the last layer's; None: as ``weight_variance``.
     """
 
     features: tuple[int, ...]
     weight_variance: float = 1.0
+    output_variance: float | None = None
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
         """Maps ``[..., in]`` to ``[..., features[-1]]``."""
-        initial = nn.initializers.variance_scaling(self.weight_variance, "fan_in", "uniform")
+
+        def initial(variance: float) -> Any:
+            return nn.initializers.variance_scaling(variance, "fan_in", "uniform")
+
         for width in self.features[:-1]:
-            x = nn.relu(nn.Dense(width, kernel_init=initial)(x))
-        return nn.Dense(self.features[-1], kernel_init=initial)(x)
+            x = nn.relu(nn.Dense(width, kernel_init=initial(self.weight_variance))(x))
+        last = self.weight_variance if self.output_variance is None else self.output_variance
+        return nn.Dense(self.features[-1], kernel_init=initial(last))(x)
 
 
 class Convolution(Sized):

@@ -8,24 +8,19 @@ from typing import Any
 import numpy as np
 
 from jaxdyna.experiments.report import plots
-from jaxdyna.experiments.report.sections import drawn, told
-from jaxdyna.experiments.report.summaries import Curves, comparison
+from jaxdyna.experiments.report.sections import Rule, drawn, told
+from jaxdyna.experiments.report.summaries import Curves
 from jaxdyna.experiments.report.tables import (
     Results,
     markdown_table,
     median,
     paragraphs,
-    share,
-    with_interval,
+    per_seed,
 )
-from jaxdyna.statistics import SolveRule, clopper_pearson, mean_of_runs, summarise
+from jaxdyna.statistics import SolveRule, mean_of_runs, share_interval, summarise
 
-Rule = Callable[[Any], SolveRule]
 FIRST = 50
 """Real steps before the first snapshot; each of the others comes after twice as many as the last."""
-MOST = 8
-"""Snapshots in the table, the last ones of all."""
-
 
 def threshold(curves: Curves, rule: SolveRule) -> float:
     """The return that is asked for: the rule's, or its share of the mean of what could be had."""
@@ -84,3 +79,42 @@ def describe(rule: Rule) -> Callable[[Any, Curves], Results]:
         }}  # fmt: skip
 
     return said
+
+
+@told
+def frozen(record: Any, rule: Rule) -> str:
+    """Real steps until a policy as it stands earns what the rule asks for, and the share of runs
+    whose policy does, against real steps; empty where no policy was evaluated.
+    """
+    arms = {name: arm["frozen"] for name, arm in record.results["arms"].items() if "frozen" in arm}
+    if not arms:
+        return ""
+    dyna, rows, shares, steps = record.options.dyna, [], {}, np.array([])
+    for name, arm in arms.items():
+        first = arm["real_steps_to_solve"]
+        most = np.percentile(per_seed(first), 95, method="inverted_cdf")
+        rows.append([name, f"{first['solved']}/{first['seeds']}", median(first),
+                     f"{most:,.0f}" if np.isfinite(most) else "-"])  # fmt: skip
+    for name, curves in drawn(record, tuple(arms)).items():
+        at, worth = snapshots(curves)
+        steps = max(steps, at, key=len)
+        shares[name] = worth >= threshold(curves, rule(record.options))
+    lines = {name: np.pad(one, ((0, 0), (0, len(steps) - one.shape[1])), "edge").astype(float)
+             for name, one in shares.items()}  # fmt: skip
+    there = plots.bands(
+        record.out / "frozen.png", {"": lines}, "real steps",
+        "share of runs whose policy earns it,\n95% interval (Clopper and Pearson)",
+        at=steps, interval=share_interval, ylim=(-0.02, 1.02), xscale="log",
+    )  # fmt: skip
+    often = "every real episode" if dyna.eval_every == 1 else f"{dyna.eval_every} real episodes"
+    return paragraphs(
+        "## Frozen policies",
+        f"After {often} the policy as it then is plays {dyna.eval_episodes} new episodes, greedy; "
+        "nothing is learned of them, and they do not count as real steps. No window stands in "
+        "these figures: real steps until a policy first earns "
+        f"{next(iter(arms.values()))['threshold']:.4g} on average, and the share of the runs whose "
+        "newest policy does, after so many steps.",
+        markdown_table(["arm", "runs that came to it", "real steps: median (95%)",
+                        "95% of the runs within"], rows),
+        "![share of runs whose frozen policy is good enough](frozen.png)" if there else "",
+    )  # fmt: skip
