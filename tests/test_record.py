@@ -124,7 +124,9 @@ def test_a_record_is_made_in_shards_and_merged(played, capfd):
     assert (played / "tiny" / "parts" / "2-of-2" / "results.json").exists()
     assert call(played, "tiny", "--shard", "1/2") == 0
     assert call(played, "tiny") == 0
-    assert "$" not in capfd.readouterr().out  # nothing is to be played
+    told = capfd.readouterr().out
+    assert "$" not in told and told.count("tiny: as today, nothing to play\n") == 1
+    assert told.count("1-of-2: as today, nothing to play\n") == 1
     assert call(played) == 0
     told = capfd.readouterr().out
     assert "as today" in told and "builds on" not in told and record.MISSING in told
@@ -240,6 +242,10 @@ def test_names_and_tables_are_refused_by_name(tmp_path, capsys):
     assert "--episods" in refused(tables(book, f"{TINY} --episods 3"), capsys, "--list")
     (book / "records.toml").write_text('[tiny]\nasks = "?"\ncommand = "catch"\nour = 3\n')
     assert "our" in refused(book, capsys)
+    (book / "records.toml").write_text(
+        '[tiny]\nasks = "?"\ncommand = "catch"\nbuilds_on = ["tiny"]\n'
+    )
+    assert "tiny builds on tiny: no record above it" in refused(book, capsys)
     (book / "records.toml").write_text("[tiny]\nasks = ?\n")
     assert "no table of a lab book" in refused(book, capsys)
 

@@ -78,8 +78,8 @@ class Plan:
         asks: its question.
         command: module and flags, as after ``python -m jaxdyna.experiments.``.
         hours: what it costs, where no record says so yet.
-        builds_on: names of the records beside which it is read: where one of these is stale, so is
-            this.
+        builds_on: names of the records above it beside which it is read: where one of these is
+            stale, so is this.
     """
 
     name: str
@@ -197,9 +197,11 @@ def read_plans(book: Path) -> dict[str, Plan]:
         plans = {name: Plan(name, **said) for name, said in _table(book, "records").items()}
     except TypeError as error:
         raise ValueError(f"{book / 'records.toml'}: {error}") from None
+    above: set[str] = set()
     for plan in plans.values():
-        if lacking := set(plan.builds_on) - plans.keys():
-            raise ValueError(f"{plan.name} builds on {', '.join(lacking)}, which is no record")
+        if lacking := sorted(set(plan.builds_on) - above):
+            raise ValueError(f"{plan.name} builds on {', '.join(lacking)}: no record above it")
+        above.add(plan.name)
     return plans
 
 
@@ -288,6 +290,8 @@ def _made(plan: Plan, call: Call) -> int:
         flags += [("--fresh" if call.fresh else "--resume")] if state.begun else []
         if code := _run(module, *flags, "--out", str(where)):
             return code
+    else:
+        print(f"{where}: {state}, nothing to play")
     if of == 1:
         return 0
     waiting = [each for each, part in parts.items() if State(part, plan.shard(each, of)).stale]
