@@ -6,7 +6,7 @@ therefore undefined (None), while a median may still be known.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -299,6 +299,28 @@ def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray, paired: bool 
         extreme = np.abs(logs / errors) >= abs(log / error) * (1 - 1e-9)
     said["p"] = float((1 + np.sum(extreme | (errors == 0))) / 10_000)
     return said
+
+
+def holm(p_values: Sequence[float]) -> np.ndarray:
+    """Holm's adjusted p-values (1979) of one family of tests: the k-th smallest of m counts
+    m - k + 1 times, none less than a smaller one, and all are 1 at the most.
+
+    Args:
+        p_values: ``[m]``, each between 0 and 1.
+
+    Returns:
+        float64 ``[m]``, in the same order.
+
+    Raises:
+        ValueError: where one is no probability.
+    """
+    p = np.asarray(p_values, np.float64)
+    if p.ndim != 1 or not ((p >= 0) & (p <= 1)).all():
+        raise ValueError(f"p_values are {p.tolist()}: give [tests], each between 0 and 1")
+    order = np.argsort(p, kind="stable")
+    adjusted = np.empty_like(p)
+    adjusted[order] = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
+    return np.minimum(adjusted, 1)
 
 
 def _log_ratio(one: np.ndarray, other: np.ndarray, paired: bool) -> tuple[np.ndarray, ...]:

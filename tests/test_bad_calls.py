@@ -360,6 +360,8 @@ BAD = {
     "frames of half a capacity": (lambda: frame_replay.init(8.5, 2, EXAMPLE), "capacity"),
     "forgetting every 0 episodes": (lambda: memory.forgetting(memory.transitions(), 0), "every"),
     # statistics
+    "holm of a table": (lambda: statistics.holm(CURVE), "p_values"),
+    "holm of an unknown p": (lambda: statistics.holm([0.1, math.nan]), "p_values"),
     "summarise([])": (lambda: statistics.summarise([]), "run"),
     "summarise of a table": (lambda: statistics.summarise(CURVE), "seeds"),
     "running_mean of no window": (lambda: statistics.running_mean(CURVE, 0), "window"),

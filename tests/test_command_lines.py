@@ -12,12 +12,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from jaxdyna import fields
-from jaxdyna.experiments import merge
+from jaxdyna.experiments import merge, record
 from jaxdyna.experiments.engine import Study, cli, main
 from jaxdyna.experiments.engine.session import Session
 
 TABLE = Path(__file__).with_name("data") / "refused.txt"
 WORLDS = ("benchmark", "catch", "cartpole", "maze", "pong", "planning")
+COMMANDS = {"merge": merge.main, "record": record.main}
 UNIQUE = count()
 
 
@@ -36,8 +37,8 @@ def said(tmp_path_factory):
     def said(capsys, world, *argv):
         out = ("--out", str(folder / str(next(UNIQUE))))
         try:
-            if world == "merge":
-                merge.main(argv)
+            if world in COMMANDS:
+                COMMANDS[world](argv)
             elif any(word.startswith("--out") for word in argv):
                 main(*parts(world), argv=argv, prog=world)
             else:
@@ -129,7 +130,7 @@ def unlike(lines, said, capsys):
     return [answer for answer in answers if answer[-1] not in answer[0]]
 
 
-@pytest.mark.parametrize("world", [*WORLDS, "merge"])
+@pytest.mark.parametrize("world", [*WORLDS, *COMMANDS])
 def test_what_cannot_be_is_refused_by_name(world, said, capsys):
     assert not unlike([line for line in TRIED if line[0] == world], said, capsys)
 

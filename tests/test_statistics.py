@@ -19,6 +19,7 @@ from jaxdyna.experiments.study.accuracy import Measure, describe
 from jaxdyna.statistics import (
     SolveRule,
     episodes_to_solve,
+    holm,
     mean_interval,
     mean_of_runs,
     median_interval,
@@ -269,6 +270,13 @@ def test_what_p_and_intervals_allow_to_say():
         arms = {"model_free": base, "dyna": arm}
         (line,) = comparison({"arms": {n: {"episodes_to_solve": a} for n, a in arms.items()}}, {})
         assert said in line and ("told apart" in line) == ("told apart" in said)
+
+
+def test_holms_p_by_hand():
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.6, 0.9]).tolist() == [1.0, 1.0]  # 1.2 is none
+    assert holm([0.02, 0.01, 0.01]) == pytest.approx([0.03, 0.03, 0.03])  # 0.02 alone: no less
+    assert holm([0.03]).tolist() == [0.03] and holm([]).shape == (0,)
 
 
 def test_a_share_of_sums_by_hand():

@@ -225,7 +225,7 @@ class Session:
         else:
             folders.claim(self.out, whose, self.fresh)
         self.checkpoints.mkdir(exist_ok=True)
-        storage.write_json(self.checkpoints / "settings.json", self._identity() | self.made)
+        storage.write_json(self.checkpoints / "settings.json", self.identity() | self.made)
 
     def run(self) -> int:
         """Plays and reports; returns the exit code: 0, 130 after Ctrl-C.
@@ -330,8 +330,8 @@ class Session:
                 self.timing[name] = seconds
                 storage.write_json(path, self.measured)
 
-    def _identity(self) -> Results:
-        """What a resumed run must have in common with the one that it resumes."""
+    def identity(self) -> Results:
+        """What a run must have in common with the one that it resumes, or else is another one."""
         settings = fields.plain(self.options)
         return {
             "experiment": self.family,
@@ -359,22 +359,15 @@ class Session:
     def _take_up_from(self, begun: Any, results: Any, whose: Mapping[str, str]) -> None:
         if not all(folders.is_of(about, whose) for about in (begun, results) if about is not None):
             raise ValueError(f"--out {self.out} has files of no such run: choose its own folder")
-        finished = results and {
-            **{name: results.get(name) for name in ("experiment", "part", "sweep")},
-            "shard": results.get("runs", {}).get("shard"),
-            "config": {k: v for k, v in results["config"].items() if k not in NOT_SETTINGS},
-        }
-        before, now = begun or finished, self._identity()
+        finished, now = results and identity_of(results), self.identity()
+        before = begun or finished
         if before is None and any(self.checkpoints.glob("*/block*.npz")):
             raise ValueError(
                 f"{self.checkpoints / 'settings.json'} is gone: restore it, or remove that folder"
             )
         if before is None:
             raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
-        differ = [name for name in now if name != "config" and before.get(name) != now[name]]
-        differ += different(before["config"], now["config"])
-        if differ:
-            flags = ", ".join(f"--{name.replace('_', '-')}" for name in differ)
+        if flags := flags_between(before, now):
             raise ValueError(
                 f"the run in {self.out} had other settings for {flags}: resume with the same, or "
                 "choose another --out"
@@ -439,6 +432,22 @@ class Session:
         self.console.print(Markdown(text.partition("\n![")[0]))
         seconds = f"{self.results['timing']['total_s']:.0f} s in all"
         self.console.print(f"Report: {self.out / 'report.md'} ({seconds})")
+
+
+def identity_of(results: Results) -> Results:
+    """A finished run's `Session.identity`, out of its ``results.json``."""
+    return {
+        **{name: results.get(name) for name in ("experiment", "part", "sweep")},
+        "shard": results.get("runs", {}).get("shard"),
+        "config": {k: v for k, v in results["config"].items() if k not in NOT_SETTINGS},
+    }
+
+
+def flags_between(before: Results, now: Results) -> str:
+    """The flags in which two runs differ by their `Session.identity`; empty where in none."""
+    differ = [name for name in now if name != "config" and before.get(name) != now[name]]
+    differ += different(before["config"], now["config"])
+    return ", ".join(f"--{name.replace('_', '-')}" for name in differ)
 
 
 def _group_name(group: Sequence[Entry], counts: Mapping[str, int]) -> str:
