@@ -7,7 +7,7 @@ import pytest
 
 from jaxdyna.experiments.engine.experiment import Experiment
 from jaxdyna.experiments.engine.record import write_report
-from jaxdyna.experiments.report import plots
+from jaxdyna.experiments.report import frozen, plots
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import describe_arm
 from jaxdyna.statistics import SolveRule
@@ -106,3 +106,51 @@ def test_lower_thresholds_are_reached_earlier(tmp_path, monkeypatch):
     assert drawn["model_free"].tolist() == 2 * [[6] + 10 * [8]]
     assert "0.50: 0.50; 0.60: 0.62; 0.70: 0.62" in text and "(thresholds.png)" in text
     assert report.thresholds(lambda options: SolveRule(1, 0.0))(asked) == ""
+
+
+def judged(out):
+    """Two runs whose policies are evaluated after every second episode, one over after four."""
+    nan = np.nan
+    curves = {
+        "real_return": np.ones((2, 6)),
+        "real_length": np.array([[30.0, 30, 30, 30, nan, nan], [10, 40, 50, 100, 10, 190]]),
+        "frozen_return": np.array([[nan, 0.5, nan, 2, nan, nan], [nan, 1, nan, 0.9, nan, 1]]),
+    }
+    found = frozen.describe(rule)(None, curves)
+    options = SimpleNamespace(dyna=SimpleNamespace(eval_every=2, eval_episodes=7))
+    results = {"arms": {"dyna": found, "model_free": {}}}
+    return SimpleNamespace(options=options, results=results, curves={"dyna": curves}, out=out)
+
+
+def test_what_frozen_policies_are_worth_by_hand(tmp_path):
+    made = judged(tmp_path)
+    curves, found = made.curves["dyna"], made.results["arms"]["dyna"]
+    at = np.array([49, 50, 60, 200, 10_000])
+    expected = [[-np.inf, -np.inf, 0.5, 2, 2], [-np.inf, 1, 1, 0.9, 1]]
+    np.testing.assert_array_equal(frozen.worth(curves, at), expected)
+    entry = found["frozen"]
+    assert entry["real_steps_to_solve"]["per_seed"] == [120, 50]
+    assert list(entry["snapshots"]) == ["50", "100", "200", "400"]
+    assert [one["solved"] for one in entry["snapshots"].values()] == [1, 1, 1, 2]
+    assert entry["snapshots"]["100"]["mean"] == 0.75
+    assert entry["snapshots"]["50"]["per_seed"] == [None, 1.0]
+
+
+def test_frozen_policies_ask_for_a_share_of_what_could_be_had():
+    curves = {"frozen_return": np.array([[4.0]]), "real_length": np.array([[9.0]]),
+              "best": np.array([[6.0, np.nan, 4.0]])}  # fmt: skip
+    share = SolveRule(2, 0.8, share_of="best")
+    assert frozen.threshold(curves, share) == 4
+    solved = frozen.describe(lambda options: share)(None, curves)["frozen"]["real_steps_to_solve"]
+    assert solved["per_seed"] == [9]
+
+
+def test_the_report_of_frozen_policies(tmp_path):
+    text = frozen.frozen(rule)(judged(tmp_path))
+    assert "After every 2 real episodes" in text
+    assert "plays 7 new episodes" in text
+    assert "| dyna | 2/2 | 85 | 120 |" in text
+    assert (tmp_path / "frozen.png").exists()
+    without = judged(tmp_path)
+    without.results["arms"]["dyna"] = frozen.describe(rule)(None, {"real_length": np.ones((2, 3))})
+    assert frozen.frozen(rule)(without) == ""

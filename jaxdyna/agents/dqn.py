@@ -106,28 +106,25 @@ def dqn(
             fake=empty(config.fake_capacity, config.fake_episodes),
         )
 
-    def acting(state: DQNState) -> Any:
-        return state.target if config.act_by_target else state.params
-
-    def act_greedy(state: DQNState, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
-        del key, hparams
+    def act_greedy(state: DQNState, obs: jax.Array, *_: Any) -> jax.Array:
         chex.assert_rank(obs, len(obs_shape))
-        return jnp.argmax(values(acting(state), obs[None])[0])
+        params = state.target if config.act_by_target else state.params
+        return jnp.argmax(values(params, obs[None])[0])
 
     def explore(
         state: DQNState, obs: jax.Array, key: Key, epsilon: jax.Array, odds: jax.Array
     ) -> jax.Array:
         key_which, key_action = jax.random.split(key)
         exploratory = jax.random.categorical(key_action, odds)
-        best = act_greedy(state, obs, key, None)
-        return jnp.where(jax.random.uniform(key_which) < epsilon, exploratory, best)
+        greedy = jax.random.uniform(key_which) >= epsilon
+        return jnp.where(greedy, act_greedy(state, obs), exploratory)
 
     def act(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
-        share = exploration.epsilon(state.exploration, hparams)
-        return explore(state, obs, key, share, state.exploration.drift)
+        how = state.exploration
+        return explore(state, obs, key, exploration.epsilon(how, hparams), how.drift)
 
     def act_fake(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
-        """Short dreams from anywhere need no direction: exploratory actions are all alike."""
+        # short dreams from anywhere need no direction: exploratory actions are all alike
         return explore(state, obs, key, jnp.asarray(hparams.epsilon_fake), jnp.zeros(num_actions))
 
     def learn(state: DQNState, key: Key, hparams: DQNHParams, updates: int):

@@ -76,8 +76,8 @@ class ReinforceConfig:
         (8,), "Widths of the policy's hidden layers.", at_least=1, everyday=True
     )
     output_variance: float = setting(
-        1.0, "Variance of the policy's initial output weights, see jaxdyna.networks.MLP: a small one "
-        "begins with all actions alike.", above=0,
+        1.0, "Variance of the policy's initial output weights, see jaxdyna.networks.MLP: a small "
+        "one begins with all actions alike.", above=0,
     )  # fmt: skip
     advantage: Callable[[jax.Array, jax.Array], jax.Array] = setting(
         no_baseline,
@@ -126,8 +126,7 @@ def reinforce(
         del hparams
         return jax.random.categorical(key, logits(state.params, obs))
 
-    def act_greedy(state: Trained, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
-        del key, hparams
+    def act_greedy(state: Trained, obs: jax.Array, *_: Any) -> jax.Array:
         return jnp.argmax(logits(state.params, obs))
 
     def update(

@@ -187,11 +187,9 @@ def play_real(
     return _real(dyna, config, act, key, hparams)
 
 
-def evaluate(
-    dyna: Dyna, config: DynaConfig, agent: Any, key: Key, hparams: DynaHParams
-) -> Metrics:
-    """``frozen_return``: the mean return of the agent as it is, greedy, in `DynaConfig.eval_episodes`
-    new episodes; for the arguments see `play_real`.
+def evaluate(dyna: Dyna, config: DynaConfig, agent: Any, key: Key, hparams: DynaHParams) -> Metrics:
+    """``frozen_return``: the mean return of the agent as it is, greedy, in new episodes, as many as
+    `DynaConfig.eval_episodes`; for the arguments see `play_real`.
     """
     greedy = dyna.agent.act_greedy or dyna.agent.act
 

@@ -152,12 +152,11 @@ def supervised(
         target = scaled * spread * params.targets.std + params.targets.mean
         next_obs = obs + target if config.delta else target
         said = next_obs, reward, jax.nn.sigmoid(logit)
-        member_of = jax.random.randint(key, (), 0, config.ensemble)
-        whole = [each[member_of] if config.one_member else each.mean(0) for each in said]
+        state, reward, end = _drawn(key, said) if config.one_member else _means(said)
         return Prediction(
-            next_obs=as_held(whole[0], obs),
-            reward=whole[1],
-            terminated=whole[2],
+            next_obs=as_held(state, obs),
+            reward=reward,
+            terminated=end,
             uncertainty=spread * scaled.std(axis=0).max(),
         )
 
@@ -204,6 +203,17 @@ def supervised(
         return where((weight > 0).any(), new, state), {"loss": loss}
 
     return DynamicsModel(init, predict, update, num_actions, SupervisedHParams)
+
+
+def _means(said: Any) -> Any:
+    """Over the members."""
+    return jax.tree.map(lambda leaf: leaf.mean(0), said)
+
+
+def _drawn(key: Key, said: Any) -> Any:
+    """What one of the members says."""
+    members = len(jax.tree.leaves(said)[0])
+    return jax.tree.map(lambda leaf: leaf[jax.random.randint(key, (), 0, members)], said)
 
 
 def _resample(key: Key, size: int, members: int) -> jax.Array:

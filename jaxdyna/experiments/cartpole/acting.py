@@ -6,6 +6,7 @@ from jaxdyna.experiments.cartpole import model
 from jaxdyna.experiments.cartpole.arms import SAID, arms
 from jaxdyna.experiments.cartpole.options import LEAN, PAPER, TUNED, rule
 from jaxdyna.experiments.engine import Experiment
+from jaxdyna.experiments.report import frozen
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import first_dreams
 from jaxdyna.experiments.study.arms import ABSENT
@@ -28,12 +29,12 @@ CARTPOLE = Experiment(
     },
     arms=arms,
     rule=rule,
-    describe=(first_dreams, model.describe),
+    describe=(first_dreams, model.describe, frozen.describe(rule)),
     sections=(
         lambda record: report.solving(rule, *papers(record))(record),
         report.learning_curves(rule, "fig6.png", "Fig. 6: return against real episodes"),
         report.thresholds(rule),
-        report.endings(rule), report.distribution, model.section, report.arms_said(SAID),
-        lambda record: ABSENT, report.settings, report.spent,
+        frozen.frozen(rule), report.endings(rule), report.distribution, model.section,
+        report.arms_said(SAID), lambda record: ABSENT, report.settings, report.spent,
     ),
 )  # fmt: skip

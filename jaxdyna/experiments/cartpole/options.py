@@ -67,6 +67,7 @@ class CartPoleOptions(Options):
     dyna: DynaConfig = setting(factory=lambda: DynaConfig(
         num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
         num_real_first=100, model_updates=60, model_batch=16, dream_updates=2, dream_episodes=8,
+        eval_every=10,
     ))  # fmt: skip
     agent: ReinforceConfig = setting(factory=lambda: ReinforceConfig(advantage=per_step))
     model: SupervisedConfig = setting(factory=lambda: SupervisedConfig(
@@ -98,7 +99,7 @@ LEAN = changed(TUNED, {
     "preset": "lean", "episodes": 150, "stop_after_solved": None, "block": 1,
     "dyna.num_real_first": 3, "dyna.model_updates": 100, "dyna.model_batch": 32,
     "dyna.dream_updates": 20, "dyna.dream_episodes": 16, "rest_when_safe": True,
-    "dyna.rare_share": 0.25,
+    "dyna.rare_share": 0.25, "dyna.eval_every": 1,
     "model.hidden": (64, 64), "model.sum_loss": False, "model.one_hot": True, "model.ensemble": 3,
     "model.spread": 1.0, "model.weight_variance": 1.0, "model.optimizer": optax.adam,
     "hparams.agent.learning_rate": 0.02, "hparams.agent.discount": 0.995,

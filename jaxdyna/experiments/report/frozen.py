@@ -8,36 +8,36 @@ from typing import Any
 import numpy as np
 
 from jaxdyna.experiments.report import plots
-from jaxdyna.experiments.report.sections import Rule, drawn, told
+from jaxdyna.experiments.report.sections import Rule, drawn, from_the_first, told
 from jaxdyna.experiments.report.summaries import Curves
-from jaxdyna.experiments.report.tables import (
-    Results,
-    markdown_table,
-    median,
-    paragraphs,
-    per_seed,
-)
-from jaxdyna.statistics import SolveRule, mean_of_runs, share_interval, summarise
+from jaxdyna.experiments.report.tables import Results, markdown_table, median, paragraphs, per_seed
+from jaxdyna.statistics import SolveRule, mean_of_runs, summarise
 
 FIRST = 50
-"""Real steps before the first snapshot; each of the others comes after twice as many as the last."""
+"""Real steps before the first snapshot; each other one comes after twice as many as the last."""
+POINTS = 200
+"""Of the figure's lines."""
+
 
 def threshold(curves: Curves, rule: SolveRule) -> float:
     """The return that is asked for: the rule's, or its share of the mean of what could be had."""
     return rule.threshold * (np.nanmean(curves[rule.share_of]) if rule.share_of else 1)
 
 
-def snapshots(curves: Curves) -> tuple[np.ndarray, np.ndarray]:
-    """Steps ``[n]`` after which some run was still played, and of each run the return ``[runs, n]``
-    of the policy that it had after so many: the newest evaluated one of an episode that was over by
-    then, -infinity before the first; of a run that is over its last one.
+def worth(curves: Curves, at: np.ndarray) -> np.ndarray:
+    """Of each run the return ``[runs, n]`` of the policy that it had after real steps ``at [n]``:
+    the newest evaluated one of an episode that was over by then, -infinity before the first; of a
+    run that is over its last one.
     """
     steps, returns = _evaluated(curves)
-    latest = steps[np.isfinite(steps)].max(initial=0)
-    at = FIRST * 2 ** np.arange(max(int(np.log2(max(latest, FIRST) / FIRST)) + 1, 1))
     newest = (steps[:, :, None] <= at).sum(1)  # policies so far
     padded = np.concatenate([np.full((len(returns), 1), -np.inf), returns], axis=1)
-    return at, np.take_along_axis(padded, newest, axis=1)
+    return np.take_along_axis(padded, newest, axis=1)
+
+
+def snapshots(latest: float) -> np.ndarray:
+    """Real steps up to the latest: `FIRST`, and on as often as they can be doubled."""
+    return FIRST * 2 ** np.arange(int(np.log2(max(latest / FIRST, 1))) + 1)
 
 
 def _evaluated(curves: Curves) -> tuple[np.ndarray, np.ndarray]:
@@ -53,7 +53,7 @@ def _evaluated(curves: Curves) -> tuple[np.ndarray, np.ndarray]:
 
 
 def describe(rule: Rule) -> Callable[[Any, Curves], Results]:
-    """``frozen``: ``real_steps_to_solve``, after which the first policy earned the rule's threshold;
+    """``frozen``: ``real_steps_to_solve``, after which a policy first earned the rule's threshold;
     ``snapshots``: the return of the policy after so many real steps, and how many runs' earn the
     threshold then. Empty where no policy was evaluated.
     """
@@ -67,14 +67,14 @@ def describe(rule: Rule) -> Callable[[Any, Curves], Results]:
         first = np.where(good.any(1), np.take_along_axis(
             steps, good.argmax(1)[:, None], axis=1)[:, 0], np.inf)  # fmt: skip
         played = np.nansum(curves["real_length"], axis=1)
-        at, worth = snapshots(curves)
+        at = snapshots(steps[np.isfinite(steps)].max())
         return {"frozen": {
             "threshold": asked,
             "real_steps_to_solve": summarise(first, at_least=played),
             "snapshots": {
                 str(step): mean_of_runs(np.where(np.isfinite(column), column, np.nan))
                 | {"solved": int((column >= asked).sum())}
-                for step, column in zip(at, worth.T, strict=True)
+                for step, column in zip(at, worth(curves, at).T, strict=True)
             },
         }}  # fmt: skip
 
@@ -89,29 +89,29 @@ def frozen(record: Any, rule: Rule) -> str:
     arms = {name: arm["frozen"] for name, arm in record.results["arms"].items() if "frozen" in arm}
     if not arms:
         return ""
-    dyna, rows, shares, steps = record.options.dyna, [], {}, np.array([])
+    dyna, rows = record.options.dyna, []
     for name, arm in arms.items():
         first = arm["real_steps_to_solve"]
         most = np.percentile(per_seed(first), 95, method="inverted_cdf")
         rows.append([name, f"{first['solved']}/{first['seeds']}", median(first),
                      f"{most:,.0f}" if np.isfinite(most) else "-"])  # fmt: skip
-    for name, curves in drawn(record, tuple(arms)).items():
-        at, worth = snapshots(curves)
-        steps = max(steps, at, key=len)
-        shares[name] = worth >= threshold(curves, rule(record.options))
-    lines = {name: np.pad(one, ((0, 0), (0, len(steps) - one.shape[1])), "edge").astype(float)
-             for name, one in shares.items()}  # fmt: skip
+    shown = drawn(record, tuple(arms))
+    latest = max(np.nansum(curves["real_length"], axis=1).max() for curves in shown.values())
+    at, solves = np.geomspace(FIRST / 2, max(latest, FIRST), POINTS), rule(record.options)
+    lines = {name: (worth(curves, at) >= threshold(curves, solves)).astype(float)
+             for name, curves in shown.items()}  # fmt: skip
     there = plots.bands(
         record.out / "frozen.png", {"": lines}, "real steps",
         "share of runs whose policy earns it,\n95% interval (Clopper and Pearson)",
-        at=steps, interval=share_interval, ylim=(-0.02, 1.02), xscale="log",
+        at=at, interval=from_the_first, ylim=(-0.02, 1.02), xscale="log",
     )  # fmt: skip
-    often = "every real episode" if dyna.eval_every == 1 else f"{dyna.eval_every} real episodes"
+    often = "each" if dyna.eval_every == 1 else f"every {dyna.eval_every}"
+    episodes = "real episode" if dyna.eval_every == 1 else "real episodes"
     return paragraphs(
         "## Frozen policies",
-        f"After {often} the policy as it then is plays {dyna.eval_episodes} new episodes, greedy; "
-        "nothing is learned of them, and they do not count as real steps. No window stands in "
-        "these figures: real steps until a policy first earns "
+        f"After {often} {episodes} the policy as it then is plays {dyna.eval_episodes} new "
+        "episodes, greedy; nothing is learned of them, and they do not count as real steps. No "
+        "window stands in these figures: real steps until a policy first earns "
         f"{next(iter(arms.values()))['threshold']:.4g} on average, and the share of the runs whose "
         "newest policy does, after so many steps.",
         markdown_table(["arm", "runs that came to it", "real steps: median (95%)",

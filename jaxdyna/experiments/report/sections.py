@@ -187,12 +187,12 @@ def solved_share(record: Any, rule: Rule) -> str:
     there = plots.bands(
         record.out / "solved.png", {"": solved}, "real episodes",
         "share of the runs that have solved,\n95% interval (Clopper and Pearson)",
-        interval=_from_the_first, ylim=(-0.02, 1.02),
+        interval=from_the_first, ylim=(-0.02, 1.02),
     )  # fmt: skip
     return "![share of the runs that have solved](solved.png)" if there else ""
 
 
-def _from_the_first(solved: np.ndarray) -> np.ndarray:
+def from_the_first(solved: np.ndarray) -> np.ndarray:
     """`share_interval` once a run has solved: before, all arms' are the same."""
     return np.where(solved.any(0), share_interval(solved), np.nan)
 
