@@ -90,7 +90,7 @@ def check_agent(agent: Agent, hparams: Any, transitions: Transition, num_actions
     _demand(np.ndim(transitions.mask) == 2, EPISODES)
     state = _Pure("init", agent.init)(_keys(0)[0], hparams)
     obs = np.asarray(transitions.obs)[0]
-    for name in ("act", "act_fake"):
+    for name in ("act", "act_fake", "act_greedy"):
         if act := getattr(agent, name):
             calls = [(state, *row, hparams) for row in zip(obs, _keys(1), strict=False)]
             actions = _Pure(name, act, (None, 0, 0, None)).check(calls)

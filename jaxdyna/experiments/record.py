@@ -349,7 +349,9 @@ def primary(book: Path, folder: Path) -> str:
     adjusted = holm([1.0 if ratio is None or ratio["p"] is None else ratio["p"] for ratio in found])
     rows = []
     for one, ratio, p in zip(said["comparisons"], found, adjusted, strict=True):
-        what = f"{one['measure'].replace('_', ' ')}, B = {one['budget']:,} episodes"
+        what = (
+            f"{one['measure'].replace('_', ' ').replace('.', ': ')}, B = {one['budget']:,} episodes"
+        )
         told = [MISSING, "-", "-"] if ratio is None else [
             f"{number(ratio['ratio'], 2)} ({interval(ratio['ci95'], 2)})", number(ratio["p"], 4),
             number(p, 4),

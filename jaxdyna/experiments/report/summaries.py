@@ -78,16 +78,29 @@ def first_dreams(options: Any, curves: Curves) -> Results:
 
 
 def compare(arms: Results, baseline: str, figure: str = "episodes_to_solve") -> Results:
-    """`statistics.ratio_of_means` of each arm's figure of `describe_arm` to the baseline's, where
-    unsolved runs count with what they played: the ratio of restricted means.
+    """`statistics.ratio_of_means` of each arm's figure, by its dotted path, to the baseline's in
+    the same setting, where unsolved runs count with what they played: the ratio of restricted means.
     """
-    if baseline not in arms:
-        return {}
-    return {
-        name: statistics.ratio_of_means(restricted(arm[figure]), restricted(arms[baseline][figure]))
-        for name, arm in arms.items()
-        if name != baseline and figure in arm
-    }
+    ratios = {}
+    for name, arm in arms.items():
+        other = baseline_of(arm, baseline)
+        mine, theirs = figure_at(arm, figure), figure_at(arms.get(other, {}), figure)
+        if mine and theirs and name != other:
+            ratios[name] = statistics.ratio_of_means(restricted(mine), restricted(theirs))
+    return ratios
+
+
+def baseline_of(arm: Results, baseline: str) -> str:
+    """The full name of the baseline in an arm's setting."""
+    return f"{baseline}@{arm['setting']}" if arm.get("setting") else baseline
+
+
+def figure_at(arm: Results, path: str) -> Results | None:
+    """A figure of an arm's entry, by its dotted path; None where it has none."""
+    found: Any = arm
+    for name in path.split("."):
+        found = found.get(name) if isinstance(found, dict) else None
+    return found
 
 
 def restricted(figure: Results) -> np.ndarray:
@@ -105,15 +118,16 @@ def comparison(
     """The ratios to a baseline in words, a line an arm, the paper's own beside those it gives."""
     arms, lines = results["arms"], []
     for name, ratio in compare(arms, baseline, figure).items():
+        other = baseline_of(arms[name], baseline)
         if ratio["ratio"] is None:
-            lines.append(f"{name} and {baseline}: no ratio of {UNITS[figure]}.")
+            lines.append(f"{name} and {other}: no ratio of {UNITS[figure]}.")
             continue
         beside = []
         if ratio["ci95"] is not None:
             beside += [f"95% interval {interval(ratio['ci95'], 2)}", _p_value(ratio["p"])]
         beside += [f"the paper's is {paper[name]:.2g}"] if name in paper else []
         said = f" ({', '.join(beside)})" if beside else ""
-        found = f"{name} needs **{ratio['ratio']:.2f}** of {baseline}'s {UNITS[figure]}"
+        found = f"{name} needs **{ratio['ratio']:.2f}** of {other}'s {UNITS[figure]}"
         lines.append(f"{found}{said}.{_verdict(ratio)}")
     if any(arms[name][figure]["solved"] < arms[name][figure]["seeds"] for name in arms):
         lines.append("Unsolved runs count with what they played.")
