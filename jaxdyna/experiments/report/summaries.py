@@ -79,7 +79,7 @@ def first_dreams(options: Any, curves: Curves) -> Results:
 
 def compare(arms: Results, baseline: str, figure: str = "episodes_to_solve") -> Results:
     """`statistics.ratio_of_means` of each arm's figure, by its dotted path, to the baseline's in
-    the same setting, where unsolved runs count with what they played: the ratio of restricted means.
+    the same setting; unsolved runs count with what they played: the ratio of restricted means.
     """
     ratios = {}
     for name, arm in arms.items():
