@@ -154,3 +154,12 @@ def test_the_report_of_frozen_policies(tmp_path):
     without = judged(tmp_path)
     without.results["arms"]["dyna"] = frozen.describe(rule)(None, {"real_length": np.ones((2, 3))})
     assert frozen.frozen(rule)(without) == ""
+
+
+def test_the_area_under_the_learning_curve_ends_with_the_first_run(tmp_path):
+    one = record(tmp_path, [[0, 1, 2, 3]] * 2 + [[2, 3]])
+    assert report.area(one) == ""
+    one.curves["model_free"] = {"real_return": np.array([[0, 0.5, 7]] * 3)}
+    said = report.area(one)
+    assert "of the first 2 real episodes" in said
+    assert "dyna 1.2; model_free 0.2" in said

@@ -33,7 +33,7 @@ CARTPOLE = Experiment(
     sections=(
         lambda record: report.solving(rule, *papers(record))(record),
         report.learning_curves(rule, "fig6.png", "Fig. 6: return against real episodes"),
-        report.thresholds(rule),
+        report.area, report.thresholds(rule),
         frozen.frozen(rule), report.endings(rule), report.distribution, model.section,
         report.arms_said(SAID), lambda record: ABSENT, report.settings, report.spent,
     ),

@@ -97,12 +97,13 @@ def rule(options: CartPoleOptions) -> SolveRule:
 TUNED = CartPoleOptions(arms=("model_free", "dyna"), stop_after_solved=100, block=5)
 LEAN = changed(TUNED, {
     "preset": "lean", "episodes": 150, "stop_after_solved": None, "block": 1,
-    "dyna.num_real_first": 3, "dyna.model_updates": 100, "dyna.model_batch": 32,
-    "dyna.dream_updates": 20, "dyna.dream_episodes": 16, "rest_when_safe": True,
-    "dyna.rare_share": 0.25, "dyna.eval_every": 1,
-    "model.hidden": (64, 64), "model.sum_loss": False, "model.one_hot": True, "model.ensemble": 3,
-    "model.spread": 1.0, "model.weight_variance": 1.0, "model.optimizer": optax.adam,
-    "hparams.agent.learning_rate": 0.02, "hparams.agent.discount": 0.995,
+    "dyna.num_real_first": 3, "dyna.model_updates": 1000, "dyna.model_batch": 32,
+    "dyna.dream_updates": 200, "dyna.dream_episodes": 16, "rest_when_safe": True,
+    "dyna.rare_share": 0.25, "dyna.eval_every": 1, "agent.output_variance": 1e-4,
+    "model.hidden": (64, 64), "model.sum_loss": False, "model.one_hot": True, "model.ensemble": 5,
+    "model.one_member": True, "model.spread": 1.0, "model.weight_variance": 1.0,
+    "model.optimizer": optax.adam,
+    "hparams.agent.learning_rate": 0.05, "hparams.agent.discount": 0.995,
     "hparams.model.learning_rate": 3e-3, "hparams.real_weight": 0.0,
     "hparams.dream.uncertainty_threshold": 0.3,
 })  # fmt: skip

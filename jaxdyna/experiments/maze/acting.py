@@ -149,6 +149,7 @@ MAZE = Experiment(
         ),
         lambda record: f"The figure's running mean is shorter than the rule's {RULE.window} "
         "episodes: a curve may be above the line before a run has solved.",
+        report.area,
         report.thresholds(lambda options: RULE),
         report.endings(lambda options: RULE),
         lambda record: "## What is learned, when",

@@ -134,6 +134,20 @@ def thresholds(record: Any, rule: Rule) -> str:
     return paragraphs("![episodes to solve against the threshold](thresholds.png)", said)
 
 
+def area(record: Any) -> str:
+    """The area under each arm's learning curve up to where the first run of any arm ends."""
+    returns = {name: curves["real_return"] for name, curves in record.curves.items()}
+    if len(returns) < 2:
+        return ""
+    end = min(int(np.isfinite(values).sum(1).min()) for values in returns.values())
+    said = [f"{name} {with_interval(mean_of_runs(values[:, :end].mean(1)), 1)}"
+            for name, values in returns.items()]  # fmt: skip
+    return (
+        "Without a threshold, the area under the learning curve: the mean return of the first "
+        f"{end} real episodes, as many as every run has played: {'; '.join(said)}."
+    )
+
+
 def _never(record: Any) -> str:
     """What to think of where no single episode of any run came up to the rule's threshold."""
     reached = [arm["first_at_threshold"]["solved"] for arm in record.results["arms"].values()]
