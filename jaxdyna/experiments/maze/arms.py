@@ -17,7 +17,7 @@ import numpy as np
 from jaxdyna import losses, networks, planners
 from jaxdyna.agents import CloningConfig, DQNConfig, DQNState, cloning, dqn, q_values, real_memory
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
-from jaxdyna.envs import FrameStack, Maze, MazeParams
+from jaxdyna.envs import FrameStack, Maze, MazeParams, MazeState
 from jaxdyna.envs.maze import MOVES
 from jaxdyna.experiments.frames.options import decayed_adam
 from jaxdyna.experiments.maze.frames import TUNED as FRAMES
@@ -122,22 +122,53 @@ def imitator(dyna: Dyna, config: DQNConfig, imitation: CloningConfig) -> Agent:
 
 
 def behaviour(maze: Maze, real: Transition, recorded: Recorded, params: MazeParams) -> Metrics:
-    """What a real episode ``[1, T]`` was like: ``oracle_return``, the most that was to be had;
+    """What a real episode ``[1, T]`` was like: ``optimal_return``, the most that was to be had;
     ``collisions``; ``time_to_goal``, the steps until it is first reached, one more than the episode
-    has where it is not; ``show_...``: films.
+    has where it is not; ``blocked``, ``waits`` and ``dawdles`` of `held_back`; ``show_...``: films.
     """
     steps = real.action.shape[1]
     state, info = jax.tree.map(lambda leaf: leaf[0], recorded)
     start = jax.tree.map(lambda leaf: leaf[0], state)
     reached = jnp.where(info["at_goal"].any(), jnp.argmax(info["at_goal"]), steps) + 1
-    return {
-        "oracle_return": planners.solve_maze(maze, start, params, steps).best_return,
+    plan = planners.solve_maze(maze, start, params, steps)
+    way = jnp.arange(steps) < reached
+    return held_back(maze, plan, state, real.action[0], params, way) | {
+        "optimal_return": plan.best_return,
         "collisions": info["collision"].sum().astype(jnp.float32),
         "time_to_goal": reached.astype(jnp.float32),
         "show_action": real.action[0].astype(jnp.int8),
         "show_obstacles": start.obstacles.astype(jnp.int8),
         "show_directions": start.directions.astype(jnp.int8),
     }
+
+
+def held_back(
+    maze: Maze, plan: planners.Plan, states: MazeState, actions: jax.Array, params: MazeParams,
+    way: jax.Array,
+) -> Metrics:  # fmt: skip
+    """Of an episode's states before each step and its actions ``[T]``, over the steps ``way``, bool
+    ``[T]``, to the goal: ``blocked``, how many there are in which every move that comes closer to
+    the goal earns less in the end than the best that does not, as value iteration's plan says: an
+    optimal policy lets an obstacle pass; ``waits``, in how many of these the agent did not come
+    closer either; ``dawdles``, in how many of the others.
+    """
+    moves = jnp.array(MOVES)
+
+    def step(state: MazeState, value: jax.Array) -> tuple[jax.Array, jax.Array]:
+        landing = jnp.clip(state.agent + moves, 0, maze.size - 1)
+        obstacles, _ = maze.patrol(state.obstacles, state.directions)
+        hit = (landing[:, None] == obstacles).all(-1).any(-1)
+        home = (landing == state.goal).all(-1)
+        worth = hit * params.collision_reward + home * params.goal_reward
+        worth += value[landing[:, 0], landing[:, 1]]
+        closer = abs(landing - state.goal).sum(-1) < abs(state.agent - state.goal).sum()
+        on, back = (jnp.where(these, worth, -jnp.inf).max() for these in (closer, ~closer))
+        return closer, on < back - 1e-3
+
+    closer, blocked = jax.vmap(step)(states, plan.value[1:])
+    back = way & ~jnp.take_along_axis(closer, actions[:, None].astype(int), axis=1)[:, 0]
+    counted = {"blocked": way & blocked, "waits": back & blocked, "dawdles": back & ~blocked}
+    return {name: these.sum(dtype=jnp.float32) for name, these in counted.items()}
 
 
 @cache
@@ -159,7 +190,7 @@ def common_transitions(env: FrameStack, steps: int) -> Transition:
 
 
 def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: DynaHParams) -> Metrics:
-    """The final greedy policy on new starts: ``greedy_return``, ``greedy_oracle``, the most that
+    """The final greedy policy on new starts: ``greedy_return``, ``greedy_optimal``, the most that
     was to be had, and ``greedy_collisions``, each ``[starts]``.
     """
     params, steps = hparams.env, config.num_steps
@@ -174,7 +205,7 @@ def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: DynaHPa
         plans = jax.vmap(lambda start: planners.solve_maze(env.env, start, params, steps))(starts)
         return {
             "greedy_return": played.reward.sum(-1),
-            "greedy_oracle": plans.best_return,
+            "greedy_optimal": plans.best_return,
             "greedy_collisions": seen.info["collision"].sum(-1),
         }
 
