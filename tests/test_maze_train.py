@@ -109,8 +109,6 @@ def test_who_waits_for_an_obstacle_by_hand():
     maze, params = Maze(size=4, num_obstacles=1, start=(3, 3), goal=(0, 3)), MazeParams(max_steps=8)
     cells = (maze.start_cell, maze.goal_cell, [[2, 2]], [1], 0)
     start = MazeState(*(jnp.array(part, jnp.int32) for part in cells))
-    plan = solve_maze(maze, start, params, 8)
-    assert plan.best_return == 4  # two steps of waiting, three up, and on the goal from then on
 
     @jax.jit
     def play(actions):
@@ -120,23 +118,23 @@ def test_who_waits_for_an_obstacle_by_hand():
 
         states, home = jax.lax.scan(step, start, actions)[1]
         way = jnp.cumsum(home) - home == 0
-        return held_back(maze, plan, states, actions, params, way)
+        return held_back(maze, states, actions, way)
 
     def said(*actions):
         found = play(jnp.array(actions))
-        return [int(found[name]) for name in ("blocked", "waits", "dawdles")]
+        return [int(found[name]) for name in ("threats", "waits", "dawdles")]
 
     up, wait = 2, 4
     assert said(wait, wait, up, up, up, wait, wait, wait) == [2, 2, 0]
     assert said(up, up, up, wait, wait, wait, wait, wait) == [1, 0, 0]
-    assert said(*[wait] * 8) == [2, 2, 6]  # in the last two it is too late for the goal
+    assert said(*[wait] * 8) == [2, 2, 6]
 
 
 def test_what_is_learned_first_by_hand():
     """Two runs: one learns everything, the other plays 60 episodes and learns nothing."""
     shape = (2, 120)
     curves = {name: np.full(shape, value) for name, value in (
-        ("collisions", 4.0), ("time_to_goal", 101.0), ("blocked", 2.0), ("waits", 1.0),
+        ("collisions", 4.0), ("time_to_goal", 101.0), ("threats", 2.0), ("waits", 1.0),
         ("dawdles", 49.0),
     )}  # fmt: skip
     curves["time_to_goal"][0, 20:] = 31  # of ten, nine do after episode 29
@@ -150,7 +148,7 @@ def test_what_is_learned_first_by_hand():
     assert found["collisions"].tolist() == [49, np.inf]
     late = np.array([(50 - n) / 50 for n in range(51)])  # what is left of dawdling
     went = 29 * np.minimum(late, 1)
-    expected = 50 + int(np.argmax((1 - late) - went / 29 >= 0.5))
+    expected = 50 + int(np.argmax((1 - late) - went / 29 >= 0.25))
     assert found["waits"].tolist() == [expected, np.inf] and 60 < expected <= 100
 
 

@@ -32,7 +32,7 @@ BEHAVIOUR = {
     "collisions": "collisions an episode", "time_to_goal": "steps until the goal",
     "waits": "steps spent waiting for an obstacle",
 }  # fmt: skip
-RARE, REACHED, WAITED = 0.5, 0.9, 0.5
+RARE, REACHED, WAITED = 0.5, 0.9, 0.25
 WAITING = 50
 """Episodes over which it is counted how often the agent waits: it seldom has to."""
 LEARNED = {"collisions": "collisions are rare", "goal": "the goal is reached", "waits": "it waits"}
@@ -76,8 +76,8 @@ def learned_at(curves: Any, steps: int) -> dict[str, np.ndarray]:
 
     - ``collisions`` are rare: `RARE` an episode or fewer, over the last `SMOOTHED`;
     - the ``goal`` is reached, within the episode's ``steps``, in `REACHED` of the last `SMOOTHED`;
-    - it ``waits``: over the last `WAITING`, in as much more of the steps in which it has to than of
-      those in which it need not, by `WAITED`.
+    - it ``waits``: over the last `WAITING` it holds back in a share of the steps in which it would
+      have collided ahead that is higher, by `WAITED`, than of those in which it would not.
     """
 
     def first(reached: np.ndarray, window: int) -> np.ndarray:
@@ -92,11 +92,11 @@ def learned_at(curves: Any, steps: int) -> dict[str, np.ndarray]:
         "goal": first(means[1] >= REACHED - 1e-9, SMOOTHED),
     }
     if "waits" in curves:
-        names = ("waits", "blocked", "dawdles")
-        waits, blocked, dawdles = (running_mean(curves[name], WAITING) for name in names)
-        free = running_mean(np.minimum(to_goal, steps), WAITING) - blocked
+        names = ("waits", "threats", "dawdles")
+        waits, threats, dawdles = (running_mean(curves[name], WAITING) for name in names)
+        free = running_mean(np.minimum(to_goal, steps), WAITING) - threats
         with np.errstate(divide="ignore", invalid="ignore"):
-            found["waits"] = first(waits / blocked - dawdles / free >= WAITED, WAITING)
+            found["waits"] = first(waits / threats - dawdles / free >= WAITED, WAITING)
     return found
 
 
@@ -121,11 +121,11 @@ def order(record: Any) -> str:
     return report.paragraphs(
         "The real episode, in the median run (95% interval), from which on collisions have been "
         f"rare ({RARE:g} an episode or fewer over {SMOOTHED} episodes), the goal has been reached "
-        f"(in {REACHED:g} of {SMOOTHED} episodes), and the agent waits for obstacles: on the way, "
-        "value iteration says in which steps any move towards the goal costs more than it brings; "
-        f"it holds back in a share of these that is {WAITED:g} higher than of all other steps, "
-        f"over {WAITING} episodes. (A random walk holds back as often in both.) The paper's order "
-        "is collisions first, then the goal.",
+        f"(in {REACHED:g} of {SMOOTHED} episodes), and the agent waits for obstacles: of the steps "
+        "on its way in which a move that comes closer to the goal would have ended on an obstacle, "
+        f"it does not come closer in a share that is {WAITED:g} higher than of all other steps, "
+        f"over {WAITING} episodes (a random walk: in equal shares). The paper's order is "
+        "collisions first, then the goal, then waiting.",
         markdown_table(["arm", *LEARNED.values()], rows),
     )
 

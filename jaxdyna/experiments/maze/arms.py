@@ -124,16 +124,15 @@ def imitator(dyna: Dyna, config: DQNConfig, imitation: CloningConfig) -> Agent:
 def behaviour(maze: Maze, real: Transition, recorded: Recorded, params: MazeParams) -> Metrics:
     """What a real episode ``[1, T]`` was like: ``optimal_return``, the most that was to be had;
     ``collisions``; ``time_to_goal``, the steps until it is first reached, one more than the episode
-    has where it is not; ``blocked``, ``waits`` and ``dawdles`` of `held_back`; ``show_...``: films.
+    has where it is not; what `held_back` counts; ``show_...``: films.
     """
     steps = real.action.shape[1]
     state, info = jax.tree.map(lambda leaf: leaf[0], recorded)
     start = jax.tree.map(lambda leaf: leaf[0], state)
     reached = jnp.where(info["at_goal"].any(), jnp.argmax(info["at_goal"]), steps) + 1
-    plan = planners.solve_maze(maze, start, params, steps)
     way = jnp.arange(steps) < reached
-    return held_back(maze, plan, state, real.action[0], params, way) | {
-        "optimal_return": plan.best_return,
+    return held_back(maze, state, real.action[0], way) | {
+        "optimal_return": planners.solve_maze(maze, start, params, steps).best_return,
         "collisions": info["collision"].sum().astype(jnp.float32),
         "time_to_goal": reached.astype(jnp.float32),
         "show_action": real.action[0].astype(jnp.int8),
@@ -142,32 +141,27 @@ def behaviour(maze: Maze, real: Transition, recorded: Recorded, params: MazePara
     }
 
 
-def held_back(
-    maze: Maze, plan: planners.Plan, states: MazeState, actions: jax.Array, params: MazeParams,
-    way: jax.Array,
-) -> Metrics:  # fmt: skip
-    """Of an episode's states before each step and its actions ``[T]``, over the steps ``way``, bool
-    ``[T]``, to the goal: ``blocked``, how many there are in which every move that comes closer to
-    the goal earns less in the end than the best that does not, as value iteration's plan says: an
-    optimal policy lets an obstacle pass; ``waits``, in how many of these the agent did not come
-    closer either; ``dawdles``, in how many of the others.
+def held_back(maze: Maze, states: MazeState, actions: jax.Array, way: jax.Array) -> Metrics:
+    """Who waits for an obstacle, of an episode's states before each step and its actions ``[T]``,
+    over the steps ``way``, bool ``[T]``, to the goal.
+
+    Returns:
+        ``threats``: steps in which a move that comes closer to the goal would have ended on an
+        obstacle; ``waits``: those of them in which the agent did not come closer; ``dawdles``:
+        other steps in which it did not.
     """
     moves = jnp.array(MOVES)
 
-    def step(state: MazeState, value: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def step(state: MazeState) -> tuple[jax.Array, jax.Array]:
         landing = jnp.clip(state.agent + moves, 0, maze.size - 1)
         obstacles, _ = maze.patrol(state.obstacles, state.directions)
         hit = (landing[:, None] == obstacles).all(-1).any(-1)
-        home = (landing == state.goal).all(-1)
-        worth = hit * params.collision_reward + home * params.goal_reward
-        worth += value[landing[:, 0], landing[:, 1]]
         closer = abs(landing - state.goal).sum(-1) < abs(state.agent - state.goal).sum()
-        on, back = (jnp.where(these, worth, -jnp.inf).max() for these in (closer, ~closer))
-        return closer, on < back - 1e-3
+        return closer, (closer & hit).any()
 
-    closer, blocked = jax.vmap(step)(states, plan.value[1:])
+    closer, threat = jax.vmap(step)(states)
     back = way & ~jnp.take_along_axis(closer, actions[:, None].astype(int), axis=1)[:, 0]
-    counted = {"blocked": way & blocked, "waits": back & blocked, "dawdles": back & ~blocked}
+    counted = {"threats": way & threat, "waits": back & threat, "dawdles": back & ~threat}
     return {name: these.sum(dtype=jnp.float32) for name, these in counted.items()}
 
 
