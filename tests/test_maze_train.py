@@ -18,7 +18,7 @@ from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.experiments.maze import LEVERS, PARTS
 from jaxdyna.experiments.maze.acting import describe, learned_at, replay
-from jaxdyna.experiments.maze.arms import agent_of, behaviour, held_back, model_of, parts
+from jaxdyna.experiments.maze.arms import agent_of, arms, behaviour, held_back, model_of, parts
 from jaxdyna.experiments.maze.options import LEAN, TUNED
 from jaxdyna.fields import changed
 from jaxdyna.planners import solve_maze
@@ -150,6 +150,16 @@ def test_what_is_learned_first_by_hand():
     went = 29 * np.minimum(late, 1)
     expected = 50 + int(np.argmax((1 - late) - went / 29 >= 0.25))
     assert found["waits"].tolist() == [expected, np.inf] and 60 < expected <= 100
+
+
+def test_mpc_init_makes_as_many_updates_as_dyna_on_real_steps_alone():
+    options = changed(LEAN, {"agent.fake_updates": 7}).resolved()
+    assert options.cloning.updates == 7
+    made = arms(options, judged=False)
+    dyna, imitating = made["dyna"](), made["mpc_init"]()
+    late = options.dyna.num_real_first + options.shown_episodes
+    assert imitating.hparams.num_real_first == late and imitating.hparams.model_trains
+    assert imitating.hparams.agent == dyna.hparams.agent.replace(fake_share=0.0)
 
 
 def test_solve_rule_by_hand():

@@ -40,7 +40,8 @@ SAID = study.SAID | {
     "mcts": "likewise MuZero's tree search, the agent's values at its leaves and for its prior's "
     "log odds. No dreams.",
     "mpc_init": "`mpc` plays some episodes, which the agent learns from and imitates by a margin "
-    "loss; it goes on model-free. No dreams.",
+    "loss, in as many updates as `dyna` makes on dreams; it goes on with as many updates at the "
+    "same times as `dyna`, all of them on real steps.",
 }
 
 
@@ -56,18 +57,21 @@ def arms(options: MazeOptions, judged: bool = True) -> dict[str, study.Made]:
         busier=parts(maze, study.busy(agent), model).agent,
     )  # fmt: skip
 
-    def planned(dyna: Dyna, make: Any, settings: Any, episodes: int | None = None) -> Any:
-        playing = acting(dyna, make, settings, by_values(agent), episodes)._replace(dream=None)
+    def planned(make: Any, settings: Any) -> Any:
+        playing = acting(dyna, make, settings, by_values(agent))._replace(dream=None)
         return study.dyna_arm(playing, dreamless, options.hparams, hooks)
 
     def shown() -> Any:
-        own = parts(maze, agent, model, common, shared=None)
+        own, count = parts(maze, agent, model, common, shared=None), options.shown_episodes
         imitating = own._replace(agent=imitator(own, agent, options.cloning))
-        return planned(imitating, planners.random_shooting, options.mpc, options.shown_episodes)
+        shooting = planners.random_shooting, options.mpc, by_values(agent), count
+        after = options.dyna.num_real_first + count
+        late = replace(study.all_real(options.hparams), num_real_first=after, model_trains=True)
+        return study.dyna_arm(acting(imitating, *shooting), options.dyna, late, hooks)
 
     return made | {
-        "mpc": lambda: planned(dyna, planners.random_shooting, options.mpc),
-        "mcts": lambda: planned(dyna, planners.muzero, options.mcts),
+        "mpc": lambda: planned(planners.random_shooting, options.mpc),
+        "mcts": lambda: planned(planners.muzero, options.mcts),
         "mpc_init": shown,
     }
 
