@@ -614,10 +614,10 @@ def test_a_random_search_balances_the_pole_as_soon_as_it_is_said_to():
     env = CartPole()
     agent, hparams = linear_search((4,), 2), LinearSearchHParams(195.0)
     dyna = Dyna(env, agent)
-    config = DynaConfig(num_episodes=120, num_steps=200)
+    config = DynaConfig(num_episodes=100, num_steps=200)
     values = DynaHParams(hparams, None, env.default_params)
     train = jax.jit(jax.vmap(make_train(dyna, config), (0, None)))
-    lengths = np.asarray(train(jax.random.split(jax.random.key(0), 100), values)[1]["real_length"])
+    lengths = np.asarray(train(jax.random.split(jax.random.key(0), 60), values)[1]["real_length"])
     row = np.lib.stride_tricks.sliding_window_view(lengths, 10, axis=1).min(-1) >= 195
     first = np.where(row.any(1), row.argmax(1), np.inf)
     steps = [one[: int(at)].sum() if np.isfinite(at) else np.inf
