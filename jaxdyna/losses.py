@@ -72,6 +72,35 @@ def policy_gradient(
     return -(weight * jax.lax.stop_gradient(advantage) * log_prob).sum()
 
 
+def clipped_policy_gradient(
+    logits: jax.Array, action: jax.Array, advantage: jax.Array, weight: jax.Array,
+    before: jax.Array, clip: float = 0.2,
+) -> jax.Array:  # fmt: skip
+    """PPO's surrogate loss ``-sum_t weight_t * min(r_t A_t, clip(r_t, 1 - clip, 1 + clip) A_t)``
+    with the ratio ``r_t = pi(a_t | s_t) / pi_before(a_t | s_t)``, for steps that an earlier policy
+    has played; at that policy its gradient is that of `policy_gradient`.
+
+    Args:
+        logits: ``[T, actions]``.
+        action: int ``[T]``.
+        advantage: ``[T]``, treated as a constant.
+        weight: ``[T]``, 0 on padding.
+        before: the earlier policy's logits, ``[T, actions]``, a constant.
+        clip: how far the ratio may go from 1 before it earns nothing more.
+
+    Returns:
+        A scalar (Schulman et al. 2017, Eq. 7).
+    """
+    chex.assert_rank([logits, action, advantage, weight, before], [2, 1, 1, 1, 2])
+    chex.assert_type(action, int)
+    chex.assert_equal_shape([logits, before])
+    logs = [jax.nn.log_softmax(one) for one in (logits, jax.lax.stop_gradient(before))]
+    new, old = (jnp.take_along_axis(log, action[:, None], axis=-1)[:, 0] for log in logs)
+    ratio, advantage = jnp.exp(new - old), jax.lax.stop_gradient(advantage)
+    least = jnp.minimum(ratio * advantage, jnp.clip(ratio, 1 - clip, 1 + clip) * advantage)
+    return -(weight * least).sum()
+
+
 def td_error(
     values: jax.Array, action: jax.Array, reward: jax.Array, discount: jax.Array,
     next_values: jax.Array, next_choice: jax.Array,

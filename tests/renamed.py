@@ -70,6 +70,7 @@ DECIDED = {
     "maze mpc.discount": "the agent's",
     "maze mcts.discount": "the agent's",
     "maze cloning.capacity": "as many steps as --shown-episodes have",
+    "maze cloning.updates": "as many as dyna makes on dreams",
     "maze cloning.l*": "the arm's own, which are the setting's default today",
     "maze reward": "own, as every model has it today: the option was cut",
     "cartpole block": "None was all runs together; a number decides a run's bits today",
@@ -78,7 +79,8 @@ DECIDED = {
 pattern of the path, and why."""
 
 ARRAYS: dict[str, str | None] = {
-    "judged_error": None  # in results.json, out of the curve that it is a mean of
+    "oracle_return": "optimal_return",
+    "judged_error": None,  # in results.json, out of the curve that it is a mean of
 }
 """In ``curves.npz``; None: no longer kept."""
 

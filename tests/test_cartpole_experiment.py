@@ -97,7 +97,7 @@ def test_curves_hold_every_episode_of_every_run(finished):
 
 def test_report_and_figures(finished):
     report = (finished / "report.md").read_text()
-    for name in ("fig6.png", "fig5_dyna.png", "solved.png"):
+    for name in ("fig6.png", "fig5_dyna.png"):
         assert f"({name})" in report
         assert (finished / name).read_bytes().startswith(b"\x89PNG")
     assert "fig5_placebo.png" not in report  # it has no model

@@ -85,6 +85,15 @@ def test_imitation_is_taken_over_when_the_agent_goes_on_by_itself():
         imitating = expected
 
 
+def test_imitation_waits_where_there_is_nothing_to_learn_from():
+    """As dreams are that are masked out as long as an expert plays, who may plan by the agent."""
+    state = IMITATOR.init(jax.random.key(0), ReinforceHParams())
+    state, _ = UPDATE_EXPERT(state, shown(1), jax.random.key(2), ReinforceHParams())
+    episodes = at_random(jax.random.key(4))
+    nothing = episodes._replace(weight=np.zeros(episodes.mask.shape, np.float32))
+    assert_same(UPDATE(state, nothing, jax.random.key(5), ReinforceHParams())[0], state)
+
+
 def test_it_is_the_agent_in_everything_else():
     state = IMITATOR.init(jax.random.key(0), ReinforceHParams())
     episodes = at_random(jax.random.key(1))

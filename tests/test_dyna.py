@@ -10,7 +10,7 @@ import pytest
 from parts import AGENT, DYNA, ENV, MODEL_FREE, ORACLE, SMALL, assert_close, assert_same, hparams
 
 from jaxdyna import sweep
-from jaxdyna.agents import ReinforceHParams
+from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
 from jaxdyna.dyna import DynaConfig, make_advance, make_init, make_train, survived
 from jaxdyna.replay import memory
 from jaxdyna.sweep import AXES
@@ -244,3 +244,12 @@ def test_a_greedy_action_is_the_likeliest():
         drawn = jax.vmap(lambda key, obs=obs: AGENT.act(state, obs, key, None))(keys)
         greedy = int(AGENT.act_greedy(state, obs, jax.random.key(0), None))
         assert float((drawn == greedy).mean()) > 0.47
+
+
+def test_a_small_output_variance_begins_with_all_actions_alike():
+    even = reinforce((4,), 2, ReinforceConfig(output_variance=1e-4))
+    states = [agent.init(jax.random.key(0), ReinforceHParams()) for agent in (AGENT, even)]
+    kernels = [state.params["params"]["Dense_1"]["kernel"] for state in states]
+    np.testing.assert_allclose(kernels[1], 0.01 * kernels[0], rtol=1e-5)
+    hidden = [state.params["params"]["Dense_0"]["kernel"] for state in states]
+    np.testing.assert_array_equal(*hidden)

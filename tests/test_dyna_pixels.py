@@ -85,7 +85,7 @@ def test_real_steps_that_the_model_keeps_itself_change_nothing(run):
 
 
 def test_watching_sees_the_state_an_episode_began_in(run):
-    """The oracle's return is of the start that was really played."""
+    """The optimal return is of the start that was really played."""
     _, metrics = run
     np.testing.assert_array_equal(metrics["drawn"], metrics["played"])
     assert len({frame.tobytes() for frame in np.asarray(metrics["played"])}) > 1

@@ -252,7 +252,7 @@ ALL = {
     "stack": envs.FrameStack(envs.Pong(scale=4, palette=CHANNELS), 2),
     "maze": envs.Maze(8, goal=(1, 1)),
     "pong": envs.PongParams(repeat_action_probability=0.25),
-    "rule": SolveRule(50, 0.95, "oracle_return"),
+    "rule": SolveRule(50, 0.95, "optimal_return"),
 }  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from jaxdyna.agents.cloning import cross_entropy_loss, margin_loss
 from jaxdyna.agents.reinforce import over_batch, per_step, within_episode
 from jaxdyna.losses import (
+    clipped_policy_gradient,
     discern,
     discounted_returns,
     policy_gradient,
@@ -205,3 +206,20 @@ WRONG = {
 def test_what_would_only_be_broadcast_is_refused(name):
     with pytest.raises(AssertionError, match=r"rank|type|shape"):
         WRONG[name]()
+
+
+def test_clipped_policy_gradient():
+    """By hand: the odds of the first of two actions have gone from 1/2 to 3/4, ratio 1.5."""
+    before, now = jnp.zeros((2, 2)), jnp.log(jnp.array([[3.0, 1.0], [3.0, 1.0]]))
+    actions, weight = jnp.array([0, 0]), jnp.array([1.0, 1.0])
+
+    def loss(logits, advantage, weight=weight):
+        return clipped_policy_gradient(logits, actions, jnp.array(advantage), weight, before)
+
+    assert loss(now, [2.0, 0.0]) == pytest.approx(-2 * 1.2)  # more than that is not believed
+    assert loss(now, [-2.0, 0.0]) == pytest.approx(2 * 1.5)  # what went wrong is, all of it
+    assert loss(now, [2.0, -2.0], jnp.array([0.0, 0.5])) == pytest.approx(1.5)
+    np.testing.assert_array_equal(jax.grad(loss)(now, [2.0, 2.0]), 0)
+    at_first = jax.grad(loss)(before, [2.0, -3.0])
+    plain = jax.grad(policy_gradient)(before, actions, jnp.array([2.0, -3.0]), weight)
+    np.testing.assert_allclose(at_first, plain, rtol=1e-6)

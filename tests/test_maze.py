@@ -1,4 +1,4 @@
-"""The Maze against a second implementation, and its exact oracle."""
+"""The Maze against a second implementation, and its exact optimum."""
 
 from functools import partial
 
@@ -140,7 +140,7 @@ def test_frames_for_people():
     assert_same(enlarge(obs, 1), obs)
 
 
-def test_the_oracle_is_the_best_that_search_finds():
+def test_the_optimum_is_the_best_that_search_finds():
     solve = jax.jit(solve_maze, static_argnums=(0, 3))
     for env, steps in ((ENV, 60), (Maze(size=4, num_obstacles=6), 25)):
         for seed in range(4):
@@ -150,7 +150,7 @@ def test_the_oracle_is_the_best_that_search_finds():
             assert plan.best_return == best_return(plain(state, steps, env.size), steps)
 
 
-def test_of_equal_actions_the_oracle_takes_the_first():
+def test_of_equal_actions_the_plan_takes_the_first():
     """To the upper right corner it goes right first, and in the end it does what comes first."""
     env, params = Maze(size=4, num_obstacles=0), MazeParams(max_steps=8)
     plan = jax.jit(lambda key: solve_maze(env, env.reset(key, params)[1], params, 8))(
@@ -160,7 +160,7 @@ def test_of_equal_actions_the_oracle_takes_the_first():
     assert plan.action[-1, 3, 0] == 0
 
 
-def test_following_the_oracle_earns_what_it_promises():
+def test_following_the_plan_earns_what_it_promises():
     keys = jax.random.split(jax.random.key(0), 20)
 
     @jax.jit
@@ -190,7 +190,7 @@ def test_a_horizon_shorter_than_the_plan_earns_nothing_after_it():
 
 
 def test_the_measured_means_of_the_rules():
-    """A random policy earns about -19.5, the oracle 167.8 (of 1,000 starts)."""
+    """A random policy earns about -19.5, the optimum 167.8 (of 1,000 starts)."""
 
     def act(obs, key):
         return jax.random.randint(key, (), 0, len(MOVES))

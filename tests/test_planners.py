@@ -381,7 +381,7 @@ def best_returns(episodes):
     return best(jax.random.key(0))
 
 
-def share_of_oracle(planner, episodes=12):
+def share_of_optimum(planner, episodes=12):
     """Of what could be had in as many episodes."""
 
     @jax.jit
@@ -406,8 +406,8 @@ BUDGETS = {
 
 
 @pytest.mark.parametrize("name", searches_slow(BUDGETS))
-def test_planners_approach_the_oracle_as_their_budget_grows(name):
-    few, many = (share_of_oracle(BUDGETS[name](budget)) for budget in (8, 256))
+def test_planners_approach_the_optimum_as_their_budget_grows(name):
+    few, many = (share_of_optimum(BUDGETS[name](budget)) for budget in (8, 256))
     assert few < many and many > 0.9
 
 

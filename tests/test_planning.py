@@ -142,7 +142,7 @@ def test_who_imitates_goes_on_alone_dreams_later_or_stays_as_it_is():
 
 
 @pytest.mark.slow
-def test_the_oracle_plays_best_in_the_maze_and_values_are_asked_for():
+def test_the_optimal_plan_plays_best_in_the_maze_and_values_are_asked_for():
     sizes = grounds.Sizes(candidates=(4,), simulations=(4,), far_candidates=(256,))
     small = {"episodes": 1, "dyna.num_real_first": 1, "size": 2, "obstacles": 1, "steps": 8}
     options = changed(MAZE.presets["lean"], small).resolved()

@@ -9,7 +9,7 @@ from jaxdyna.experiments.engine.experiment import Experiment
 from jaxdyna.experiments.engine.record import write_report
 from jaxdyna.experiments.report import frozen, plots
 from jaxdyna.experiments.report import sections as report
-from jaxdyna.experiments.report.summaries import describe_arm
+from jaxdyna.experiments.report.summaries import break_even, describe_arm
 from jaxdyna.statistics import SolveRule
 
 RULE = SolveRule(2, 1.0)
@@ -163,3 +163,24 @@ def test_the_area_under_the_learning_curve_ends_with_the_first_run(tmp_path):
     said = report.area(one)
     assert "of the first 2 real episodes" in said
     assert "dyna 1.2; model_free 0.2" in said
+
+
+def test_what_a_real_step_has_to_cost_by_hand(tmp_path):
+    """Six runs in three blocks on two cores: 30 s are 10 core-seconds a run, 6 s are 2. Dreams save
+    1 real step of 5 on average: 8 s for it.
+    """
+    arms = {
+        name: {"real_steps_to_solve": {"per_seed": steps, "restricted_mean": mean}}
+        for name, steps, mean in (("dyna", [3, 5] * 3, 4), ("model_free", [4, None] * 3, 5))
+    }
+    results = {
+        "runs": {"seeds": list(range(6)), "block": 2}, "arms": arms,
+        "device": {"platform": "cpu", "cpu_cores": 2, "count": 1},
+        "timing": {"arms": {"dyna": {"run_s": 30.0}, "model_free": {"run_s": 6.0}}},
+    }  # fmt: skip
+    assert break_even(results) == pytest.approx((8, 1, 8000))
+    on_one = results | {"device": results["device"] | {"platform": "gpu"}}
+    assert break_even(on_one) == pytest.approx((4, 1, 4000))
+    assert break_even(results, "model_free", "dyna") is None  # it saves nothing
+    assert break_even(results | {"timing": {"arms": {"dyna": {"run_s": 1.0}}}}) is None
+    assert "longer than **8,000 ms**: a run of dyna computes for 8 s more" in report._price(results)

@@ -28,7 +28,7 @@ MAZE = [
     "--agent.fake-updates", "1", "--agent.batch", "4",
 ]  # fmt: skip
 MAZE_PLANNED = [
-    "--shown-episodes", "2", "--cloning.updates", "2", "--mpc.candidates", "2", "--mpc.horizon", "2"
+    "--shown-episodes", "2", "--mpc.candidates", "2", "--mpc.horizon", "2"
 ]  # fmt: skip
 MAZE_MODEL = [
     "--part", "model", "--quick", "--seeds", "2", "--episodes", "6", "--stages", "2", "6",

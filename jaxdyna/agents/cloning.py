@@ -182,8 +182,10 @@ def _lifted(agent: Agent, init: Callable, update_expert: Callable, install: Call
 
     def lift_update(update: Callable) -> Callable:
         def lifted(state: CloningState, transitions: Transition, key: Key, hparams: Any):
-            own, metrics = update(imitating(state), transitions, key, hparams)
-            return replace(state, agent=own, waiting=jnp.bool_(False)), metrics
+            seen = (transitions.weights > 0).any()
+            own = imitating(replace(state, waiting=state.waiting & seen))
+            own, metrics = update(own, transitions, key, hparams)
+            return replace(state, agent=own, waiting=state.waiting & ~seen), metrics
 
         return lifted
 

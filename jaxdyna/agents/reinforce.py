@@ -12,7 +12,7 @@ import optax
 from flax import struct
 
 from jaxdyna.fields import check, check_counts, check_shape, setting
-from jaxdyna.losses import discounted_returns, policy_gradient, standardise
+from jaxdyna.losses import clipped_policy_gradient, discounted_returns, policy_gradient, standardise
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
 from jaxdyna.trees import where
@@ -85,6 +85,10 @@ class ReinforceConfig:
         "nothing, or standardised within each episode, over the batch, or step by step.",
         choices=(no_baseline, within_episode, over_batch, per_step),
     )
+    epochs: int = setting(
+        1, "Gradient steps on each batch of episodes; from the second on how far the policy may go "
+        "from the one that played them is clipped (PPO).", at_least=1,
+    )  # fmt: skip
     optimizer: Optimizer = optimizer_setting(optax.adam)
 
     def __post_init__(self) -> None:
@@ -132,8 +136,8 @@ def reinforce(
     def update(
         state: Trained, transitions: Transition, key: Key, hparams: ReinforceHParams
     ) -> tuple[Trained, dict[str, jax.Array]]:
-        """One gradient step. Adam forgets the loss's scale, so the mean weight of the batch scales
-        the step itself: data of weight 0.5 moves the policy half as far.
+        """Adam forgets the loss's scale, so the mean weight of the batch scales the steps
+        themselves: data of weight 0.5 moves the policy half as far. The loss is the first step's.
         """
         del key
         check_transitions(transitions, 2)
@@ -143,18 +147,33 @@ def reinforce(
             jnp.where(valid, transitions.reward, 0), hparams.discount
         )
         advantage = config.advantage(returns, valid)
-
-        def loss_fn(params):
-            outputs = jax.vmap(jax.vmap(logits, (None, 0)), (None, 0))(params, transitions.obs)
-            losses = jax.vmap(policy_gradient)(outputs, transitions.action, advantage, weight)
-            return losses.mean()
-
-        loss, grads = jax.value_and_grad(loss_fn)(state.params)
         optimizer = config.optimizer(hparams.learning_rate)
-        updates, opt_state = optimizer.update(grads, state.opt_state, state.params)
         mean_weight = weight.sum() / jnp.maximum(valid.sum(), 1)
-        updates = jax.tree.map(lambda update: update * mean_weight, updates)
-        new = Trained(optax.apply_updates(state.params, updates), opt_state)
+
+        def outputs(params):
+            return jax.vmap(jax.vmap(logits, (None, 0)), (None, 0))(params, transitions.obs)
+
+        def on_policy(params):
+            now = outputs(params)
+            return jax.vmap(policy_gradient)(now, transitions.action, advantage, weight).mean()
+
+        def step(state: Trained, loss_fn: Callable) -> tuple[Trained, jax.Array]:
+            loss, grads = jax.value_and_grad(loss_fn)(state.params)
+            updates, opt_state = optimizer.update(grads, state.opt_state, state.params)
+            updates = jax.tree.map(lambda update: update * mean_weight, updates)
+            return Trained(optax.apply_updates(state.params, updates), opt_state), loss
+
+        new, loss = step(state, on_policy)
+        if config.epochs > 1:
+            before = outputs(state.params)
+
+            def clipped(params):
+                batch = outputs(params), transitions.action, advantage, weight, before
+                return jax.vmap(clipped_policy_gradient)(*batch).mean()
+
+            new, _ = jax.lax.scan(
+                lambda state, _: step(state, clipped), new, length=config.epochs - 1
+            )
         return where(valid.any(), new, state), {"loss": loss}
 
     return Agent(

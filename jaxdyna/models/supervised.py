@@ -212,8 +212,8 @@ def _means(said: Any) -> Any:
 
 def _drawn(key: Key, said: Any) -> Any:
     """What one of the members says."""
-    members = len(jax.tree.leaves(said)[0])
-    return jax.tree.map(lambda leaf: leaf[jax.random.randint(key, (), 0, members)], said)
+    member = jax.random.randint(key, (), 0, len(jax.tree.leaves(said)[0]))
+    return jax.tree.map(lambda leaf: leaf[member], said)
 
 
 def _resample(key: Key, size: int, members: int) -> jax.Array:

@@ -1,4 +1,4 @@
-"""The exact oracle of the Maze: value iteration (Bellman 1957) over time, row and column.
+"""The exact optimum of the Maze: value iteration (Bellman 1957) over time, row and column.
 
 Obstacles move whatever the agent does, so their whole way is known at the start of an episode, and
 what remains is a finite-horizon problem over the agent's cell.

@@ -12,13 +12,14 @@ from jaxdyna import agents, models, planners
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, survived
 from jaxdyna.envs import CartPole, CartPoleParams
 from jaxdyna.experiments.cartpole import model
-from jaxdyna.experiments.cartpole.options import CartPoleOptions
+from jaxdyna.experiments.cartpole.options import CartPoleOptions, rule
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
 from jaxdyna.experiments.study.frames import learned_params
 from jaxdyna.experiments.study.planners import acting, random_episodes, without_guide
 from jaxdyna.models.evaluation import Predict, change_error
 from jaxdyna.replay import memory, ring
+from jaxdyna.trees import where
 from jaxdyna.types import Agent
 
 IMITATES = (
@@ -29,9 +30,13 @@ SAID = study.SAID | {
     "where it would end each at once.",
     "mpc": "after the first N episodes random shooting in the model acts; no dreams.",
     "mcts": "likewise MuZero's tree search, random episodes in the model for the value of a leaf.",
-    "mpc_init": f"{IMITATES} goes on model-free.",
+    "mpc_init": f"{IMITATES} goes on model-free, with as many policy updates an episode as `dyna`: "
+    "further ones on the same real episode, clipped as PPO's are; like `dyna` in `lean` it leaves "
+    "alone what did not fall.",
     "mpc_init_dyna": f"{IMITATES} goes on with dreams like `dyna`.",
     "mpc_clone": f"{IMITATES} stays as it is.",
+    "random_search": "nothing is learned: the action is the higher of two random linear functions "
+    "of the state, which are drawn anew after every real episode below the rule's threshold.",
 }
 TRUTH: dict[str, Any] = {
     "dream": Dream(CartPole(), lambda _, hparams: hparams.env), "memory": None,
@@ -62,18 +67,28 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
         dyna, alone = dyna._replace(dream=None), replace(config, dream_updates=0)
         return study.dyna_arm(dyna, alone, hparams, hooks)
 
-    def shown() -> Dyna:
-        imitating = dyna._replace(agent=imitator(options.agent, options.cloning))
+    def shown(agent: agents.ReinforceConfig = options.agent) -> Dyna:
+        imitating = dyna._replace(agent=imitator(agent, options.cloning))
         return acting(imitating, shooting, options.mpc, without_guide, options.shown_episodes)
+
+    def alone() -> Dyna:
+        busy = shown(replace(options.agent, epochs=options.agent.epochs + config.dream_updates))
+        return with_agent(busy, update=unless_safe(busy)) if dyna.safe else busy
 
     shooting, resting = planners.random_shooting, with_agent(dyna, update_expert=learn_nothing)
     at_leaves = random_episodes(dream.env, options.mcts.discount, options.mcts_rollout)
     return made | {
         "mpc": lambda: dreamless(acting(resting, shooting, options.mpc, without_guide)),
         "mcts": lambda: dreamless(acting(resting, planners.muzero, options.mcts, at_leaves)),
-        "mpc_init": lambda: dreamless(shown()),
+        "mpc_init": lambda: dreamless(alone()),
         "mpc_init_dyna": lambda: study.dyna_arm(shown(), config, late, hooks),
         "mpc_clone": lambda: dreamless(with_agent(shown(), update=learn_nothing)),
+        "random_search": lambda: study.dyna_arm(
+            searching(dyna),
+            config,
+            replace(hparams, agent=agents.LinearSearchHParams(rule(options).threshold)),
+            hooks,
+        ),
     }
 
 
@@ -136,6 +151,13 @@ def overwrite_angle(predict: Predict) -> Predict:
 
 
 @cache
+def searching(dyna: Dyna) -> Dyna:
+    """Without a model, and with a random linear policy for an agent."""
+    search = agents.linear_search((4,), dyna.env.num_actions)
+    return dyna._replace(agent=search, model=None, dream=None, diagnose=None, safe=None)
+
+
+@cache
 def imitator(agent: agents.ReinforceConfig, imitation: agents.CloningConfig) -> Agent:
     """A policy that imitates what it is shown."""
     actions = CartPole().num_actions
@@ -147,6 +169,18 @@ def imitator(agent: agents.ReinforceConfig, imitation: agents.CloningConfig) -> 
 def with_agent(dyna: Dyna, **changes: Any) -> Dyna:
     """With other updates of the agent."""
     return dyna._replace(agent=dyna.agent._replace(**changes))
+
+
+@cache
+def unless_safe(dyna: Dyna) -> Any:
+    """The agent's update, which leaves it as it is after episodes that are `Dyna.safe`."""
+
+    def update(state: Any, transitions: Any, key: Any, hparams: Any) -> tuple[Any, Any]:
+        assert dyna.safe is not None
+        new, metrics = dyna.agent.update(state, transitions, key, hparams)
+        return where(dyna.safe(transitions), state, new), metrics
+
+    return update
 
 
 def learn_nothing(state: Any, transitions: Any, key: Any, hparams: Any) -> tuple[Any, Any]:

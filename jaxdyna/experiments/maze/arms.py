@@ -17,7 +17,7 @@ import numpy as np
 from jaxdyna import losses, networks, planners
 from jaxdyna.agents import CloningConfig, DQNConfig, DQNState, cloning, dqn, q_values, real_memory
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
-from jaxdyna.envs import FrameStack, Maze, MazeParams
+from jaxdyna.envs import FrameStack, Maze, MazeParams, MazeState
 from jaxdyna.envs.maze import MOVES
 from jaxdyna.experiments.frames.options import decayed_adam
 from jaxdyna.experiments.maze.frames import TUNED as FRAMES
@@ -40,7 +40,8 @@ SAID = study.SAID | {
     "mcts": "likewise MuZero's tree search, the agent's values at its leaves and for its prior's "
     "log odds. No dreams.",
     "mpc_init": "`mpc` plays some episodes, which the agent learns from and imitates by a margin "
-    "loss; it goes on model-free. No dreams.",
+    "loss, in as many updates as `dyna` makes on dreams; it goes on with as many updates at the "
+    "same times as `dyna`, all of them on real steps.",
 }
 
 
@@ -56,18 +57,21 @@ def arms(options: MazeOptions, judged: bool = True) -> dict[str, study.Made]:
         busier=parts(maze, study.busy(agent), model).agent,
     )  # fmt: skip
 
-    def planned(dyna: Dyna, make: Any, settings: Any, episodes: int | None = None) -> Any:
-        playing = acting(dyna, make, settings, by_values(agent), episodes)._replace(dream=None)
+    def planned(make: Any, settings: Any) -> Any:
+        playing = acting(dyna, make, settings, by_values(agent))._replace(dream=None)
         return study.dyna_arm(playing, dreamless, options.hparams, hooks)
 
     def shown() -> Any:
-        own = parts(maze, agent, model, common, shared=None)
+        own, count = parts(maze, agent, model, common, shared=None), options.shown_episodes
         imitating = own._replace(agent=imitator(own, agent, options.cloning))
-        return planned(imitating, planners.random_shooting, options.mpc, options.shown_episodes)
+        shooting = planners.random_shooting, options.mpc, by_values(agent), count
+        after = options.dyna.num_real_first + count
+        late = replace(study.all_real(options.hparams), num_real_first=after, model_trains=True)
+        return study.dyna_arm(acting(imitating, *shooting), options.dyna, late, hooks)
 
     return made | {
-        "mpc": lambda: planned(dyna, planners.random_shooting, options.mpc),
-        "mcts": lambda: planned(dyna, planners.muzero, options.mcts),
+        "mpc": lambda: planned(planners.random_shooting, options.mpc),
+        "mcts": lambda: planned(planners.muzero, options.mcts),
         "mpc_init": shown,
     }
 
@@ -122,22 +126,47 @@ def imitator(dyna: Dyna, config: DQNConfig, imitation: CloningConfig) -> Agent:
 
 
 def behaviour(maze: Maze, real: Transition, recorded: Recorded, params: MazeParams) -> Metrics:
-    """What a real episode ``[1, T]`` was like: ``oracle_return``, the most that was to be had;
+    """What a real episode ``[1, T]`` was like: ``optimal_return``, the most that was to be had;
     ``collisions``; ``time_to_goal``, the steps until it is first reached, one more than the episode
-    has where it is not; ``show_...``: films.
+    has where it is not; what `held_back` counts; ``show_...``: films.
     """
     steps = real.action.shape[1]
     state, info = jax.tree.map(lambda leaf: leaf[0], recorded)
     start = jax.tree.map(lambda leaf: leaf[0], state)
     reached = jnp.where(info["at_goal"].any(), jnp.argmax(info["at_goal"]), steps) + 1
-    return {
-        "oracle_return": planners.solve_maze(maze, start, params, steps).best_return,
+    way = jnp.arange(steps) < reached
+    return held_back(maze, state, real.action[0], way) | {
+        "optimal_return": planners.solve_maze(maze, start, params, steps).best_return,
         "collisions": info["collision"].sum().astype(jnp.float32),
         "time_to_goal": reached.astype(jnp.float32),
         "show_action": real.action[0].astype(jnp.int8),
         "show_obstacles": start.obstacles.astype(jnp.int8),
         "show_directions": start.directions.astype(jnp.int8),
     }
+
+
+def held_back(maze: Maze, states: MazeState, actions: jax.Array, way: jax.Array) -> Metrics:
+    """Who waits for an obstacle, of an episode's states before each step and its actions ``[T]``,
+    over the steps ``way``, bool ``[T]``, to the goal.
+
+    Returns:
+        ``threats``: steps in which a move that comes closer to the goal would have ended on an
+        obstacle; ``waits``: those of them in which the agent did not come closer; ``dawdles``:
+        other steps in which it did not.
+    """
+    moves = jnp.array(MOVES)
+
+    def step(state: MazeState) -> tuple[jax.Array, jax.Array]:
+        landing = jnp.clip(state.agent + moves, 0, maze.size - 1)
+        obstacles, _ = maze.patrol(state.obstacles, state.directions)
+        hit = (landing[:, None] == obstacles).all(-1).any(-1)
+        closer = abs(landing - state.goal).sum(-1) < abs(state.agent - state.goal).sum()
+        return closer, (closer & hit).any()
+
+    closer, threat = jax.vmap(step)(states)
+    back = way & ~jnp.take_along_axis(closer, actions[:, None].astype(int), axis=1)[:, 0]
+    counted = {"threats": way & threat, "waits": back & threat, "dawdles": back & ~threat}
+    return {name: these.sum(dtype=jnp.float32) for name, these in counted.items()}
 
 
 @cache
@@ -159,7 +188,7 @@ def common_transitions(env: FrameStack, steps: int) -> Transition:
 
 
 def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: DynaHParams) -> Metrics:
-    """The final greedy policy on new starts: ``greedy_return``, ``greedy_oracle``, the most that
+    """The final greedy policy on new starts: ``greedy_return``, ``greedy_optimal``, the most that
     was to be had, and ``greedy_collisions``, each ``[starts]``.
     """
     params, steps = hparams.env, config.num_steps
@@ -174,7 +203,7 @@ def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: DynaHPa
         plans = jax.vmap(lambda start: planners.solve_maze(env.env, start, params, steps))(starts)
         return {
             "greedy_return": played.reward.sum(-1),
-            "greedy_oracle": plans.best_return,
+            "greedy_optimal": plans.best_return,
             "greedy_collisions": seen.info["collision"].sum(-1),
         }
 

@@ -26,6 +26,7 @@ class MazeOptions(Options):
         "mpc.discount": "--hparams.agent.discount", "mcts.discount": "--hparams.agent.discount",
         "mcts.considered": EVERY_ACTION, "mcts.gumbel_scale": EVERY_ACTION,
         "cloning.capacity": "--shown-episodes",
+        "cloning.updates": "--agent.fake-updates, since it makes as many as dyna on dreams",
     }  # fmt: skip
 
     size: int = setting(16, "cells a side of the board", at_least=2, at_most=1000, everyday=True)
@@ -91,6 +92,7 @@ class MazeOptions(Options):
             "dyna.num_episodes": self.episodes, "dyna.num_steps": steps,
             "dyna.dream_steps": min(self.dyna.dream_steps or steps, steps),
             "hparams.env.max_steps": steps, "cloning.capacity": self.shown_episodes * steps,
+            "cloning.updates": max(self.agent.fake_updates * self.dyna.dream_updates, 1),
             "mpc.discount": discount, "mcts.discount": discount,
         })  # fmt: skip
 

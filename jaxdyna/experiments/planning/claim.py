@@ -19,8 +19,10 @@ FIRST = "dyna"
 TITLE = "Sub-optimal trajectories, or an initialisation from MPC? (§1.1)"
 SAID = (
     "Return: mean of the real episodes 51 to 100, which every run plays and which come after all "
-    f"imitation. An arm stands beside `{FIRST}` with as good models. Differences are paired (the "
-    "same seeds), intervals are 95% studentised-bootstrap intervals over the runs."
+    f"imitation. An arm stands beside `{FIRST}` with as good models; all but "
+    "`mpc_clone`, which stays as it is, make at least as many policy updates an episode as "
+    f"`{FIRST}`. Differences are paired (the same seeds), intervals are 95% studentised-bootstrap "
+    "intervals over the runs."
 )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxdyna import fields
 from jaxdyna.experiments.report import plots, tables
-from jaxdyna.experiments.report.summaries import HELD_EPISODES, comparison, comparisons
+from jaxdyna.experiments.report.summaries import HELD_EPISODES, break_even, comparison, comparisons
 from jaxdyna.experiments.report.tables import (
     Results,
     markdown_table,
@@ -83,7 +83,8 @@ def solving(
         f"{runs(count)} of each arm. {solves.capitalize()}. {COUNTED} {said}".rstrip(),
         markdown_table(header, lines), "" if count > FEW else NONE_OF_FEW, _never(record),
         _half(record.results),
-        *comparisons(record.results, ratio), _windowless(record.results), swept(record),
+        *comparisons(record.results, ratio), _windowless(record.results), _price(record.results),
+        swept(record),
     )  # fmt: skip
 
 
@@ -106,6 +107,24 @@ def _windowless(results: Results) -> str:
     lines = comparison(results, {}, figure="first_solved")
     found = [line for line in lines if line.startswith("dyna needs")]
     return f"Without the window: {found[0]}" if found else ""
+
+
+def _price(results: Results) -> str:
+    """From what price of a real step on dreams pay."""
+    found = break_even(results)
+    if found is None:
+        return ""
+    extra, saved, price = found
+    return (
+        f"Dreams pay where a real step takes longer than **{_short(price)} ms**: a run of dyna "
+        f"computes for {_short(extra)} s more than one of model_free, and saves {saved:,.0f} real "
+        "steps before the solving window. (Seconds of one core or device, of runs that were played "
+        "beside others and to their end, judging with them and compiling left out.)"
+    )
+
+
+def _short(value: float) -> str:
+    return f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
 
 
 @told

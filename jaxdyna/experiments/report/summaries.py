@@ -134,6 +134,36 @@ def comparison(
     return lines
 
 
+def break_even(
+    results: Results, arm: str = "dyna", baseline: str = "model_free"
+) -> tuple[float, float, float] | None:
+    """What a real step has to take for an arm's dreams to pay.
+
+    Args:
+        results: a record's, with the seconds of either arm.
+        arm: who dreams.
+        baseline: who does not.
+
+    Returns:
+        Seconds of computing that a run of the arm takes beyond one of the baseline, the real steps
+        before the solving window that it saves (restricted means), and the one over the other in
+        milliseconds a real step. None where seconds are not known, or where nothing is saved.
+
+    Seconds are a core's, or a device's, of whole runs, as long as they were played: where these go
+    on after they have solved, dreams are charged for that as well.
+    """
+    spent, arms, device = (results.get(name, {}) for name in ("timing", "arms", "device"))
+    seconds = [spent.get("arms", {}).get(name, {}).get("run_s") for name in (arm, baseline)]
+    if None in seconds or not {arm, baseline} <= arms.keys():
+        return None
+    runs, block = len(results["runs"]["seeds"]), results["runs"]["block"]
+    workers = device["cpu_cores"] if device["platform"] == "cpu" else device["count"]
+    each = [one * min(workers, -(-runs // block)) / runs for one in seconds]
+    steps = [restricted(arms[name]["real_steps_to_solve"]).mean() for name in (arm, baseline)]
+    extra, saved = each[0] - each[1], float(steps[1] - steps[0])
+    return (extra, saved, 1000 * max(extra, 0.0) / saved) if saved > 0 else None
+
+
 def _p_value(p: float) -> str:
     return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
 

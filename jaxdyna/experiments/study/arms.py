@@ -89,7 +89,6 @@ def standard_arms(
     """
     make = partial(partial, dyna_arm, hooks=hooks)
     trusting = replace(hparams.dream, uncertainty_threshold=math.inf)
-    never: dict[str, Any] = {"model_trains": False, "dream": trusting}
     dreaming = replace(hparams, model_trains=False, dream=replace(trusting, **untrained))
     learns_nothing: dict[str, Any] = {"model": None, "diagnose": None}
     alone = dyna._replace(dream=None, **learns_nothing)
@@ -101,10 +100,17 @@ def standard_arms(
     if true is not None:
         arms["oracle"] = make(true._replace(**learns_nothing), config, hparams)
     if busier is not None:
-        all_real = replace(hparams, **never, agent=replace(hparams.agent, fake_share=0.0))
-        arms["more_updates"] = make(dyna._replace(diagnose=None), config, all_real)
+        arms["more_updates"] = make(dyna._replace(diagnose=None), config, all_real(hparams))
         arms["max_updates"] = make(alone._replace(agent=busier), config, hparams)
     return arms
+
+
+def all_real(hparams: DynaHParams) -> DynaHParams:
+    """Under which a DQN makes ``dyna``'s updates at ``dyna``'s times on real steps alone."""
+    return replace(
+        hparams, model_trains=False, agent=replace(hparams.agent, fake_share=0.0),
+        dream=replace(hparams.dream, uncertainty_threshold=math.inf),
+    )  # fmt: skip
 
 
 def greedy(hparams: Any) -> Any:
