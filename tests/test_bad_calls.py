@@ -148,7 +148,8 @@ BAD = {
         capacity=(0,), episodes=(0,), drift=(-1, math.nan), double=(1,), optimizer=("adam", 0.1),
         network=(GlimpseQ,),
     ),
-    **configs(ReinforceConfig, output_variance=(0,), hidden=((0,), 8, (8.5,)), advantage=("mean", None)),
+    **configs(ReinforceConfig, hidden=((0,), 8, (8.5,)), advantage=("mean", None)),
+    **configs(ReinforceConfig, output_variance=(0,), epochs=(0,)),
     **configs(CloningConfig, updates=(0,), batch=(0,), learning_rate=(0, math.nan), loss=("l2",)),
     **configs(
         Maze, size=(4.5, 1), num_obstacles=(1.5, -1, 255), start=((16, 0), (0, 15), (1,)),

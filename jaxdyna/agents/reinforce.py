@@ -75,21 +75,21 @@ class ReinforceConfig:
     hidden: tuple[int, ...] = setting(
         (8,), "Widths of the policy's hidden layers.", at_least=1, everyday=True
     )
-    output_variance: float = setting(
-        1.0, "Variance of the policy's initial output weights, see jaxdyna.networks.MLP: a small "
-        "one begins with all actions alike.", above=0,
-    )  # fmt: skip
     advantage: Callable[[jax.Array, jax.Array], jax.Array] = setting(
         no_baseline,
         "What is done against the returns' variance, (returns [N, T], valid [N, T]) -> [N, T]: "
         "nothing, or standardised within each episode, over the batch, or step by step.",
         choices=(no_baseline, within_episode, over_batch, per_step),
     )
+    optimizer: Optimizer = optimizer_setting(optax.adam)
     epochs: int = setting(
         1, "Gradient steps on each batch of episodes; from the second on how far the policy may go "
         "from the one that played them is clipped (PPO).", at_least=1,
     )  # fmt: skip
-    optimizer: Optimizer = optimizer_setting(optax.adam)
+    output_variance: float = setting(
+        1.0, "Variance of the policy's initial output weights, see jaxdyna.networks.MLP: a small "
+        "one begins with all actions alike.", above=0,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check(self)
