@@ -124,7 +124,10 @@ def dqn(
 
     def act_fake(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
         """Short dreams from anywhere need no direction: exploratory actions are all alike."""
-        return explore(state, obs, key, jnp.asarray(hparams.epsilon_fake), jnp.zeros(num_actions))
+        share = hparams.epsilon_fake
+        if share is None:
+            share = exploration.epsilon(state.exploration, hparams)
+        return explore(state, obs, key, jnp.asarray(share), jnp.zeros(num_actions))
 
     def learn(state: DQNState, key: Key, hparams: DQNHParams, updates: int):
         """Gradient steps, and a new direction for the next exploring episode."""
@@ -209,7 +212,7 @@ def _descend(
         )  # fmt: skip
         weight = draws.often**-hparams.importance_exponent
         weight = batch.first.weights * weight / weight.max()
-        return (weight * optax.huber_loss(errors)).mean(), errors
+        return (weight * config.loss(errors)).mean(), errors
 
     (loss, errors), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.params)
     optimizer = config.optimizer(hparams.learning_rate)
@@ -261,7 +264,10 @@ def _mixed(
 
     real, real_numbers, real_often = drawn(state.real, key_real)
     fake, fake_numbers, fake_often = drawn(state.fake, key_fake)
-    share = jnp.where(state.fake.size > 0, hparams.fake_share, 0.0)
+    share = hparams.fake_share
+    if share is None:
+        share = state.fake.size / jnp.maximum(state.real.size + state.fake.size, 1)
+    share = jnp.where(state.fake.size > 0, share, 0.0)
     share = jnp.where(state.real.size > 0, share, 1.0)
     is_fake = jax.random.uniform(key_source, shape) < share
     window = jax.tree.map(lambda new, old: jax.vmap(jnp.where)(is_fake, new, old), fake, real)

@@ -12,15 +12,15 @@ import numpy as np
 from jaxdyna.envs import Maze, MazeParams, MazeState
 from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.maze.arms import SAID, STARTS, arms
-from jaxdyna.experiments.maze.options import LEAN, QUICK, TUNED, MazeOptions
+from jaxdyna.experiments.maze.options import LEAN, PAPER, QUICK, TUNED, MazeOptions
 from jaxdyna.experiments.report import frames
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
 from jaxdyna.statistics import SolveRule, episodes_to_solve, last_mean, mean_of_runs
 
 RULE = SolveRule(50, 0.95, "oracle_return")
-PAPER = {"model_free": 700.0, "dyna": 250.0}
-PAPER_RATIO = {"dyna": 0.36}
+EPISODES = {"model_free": 700.0, "dyna": 250.0}
+RATIO = {"dyna": 0.36}
 BEHAVIOUR = {"collisions": "collisions an episode", "time_to_goal": "steps until the goal"}
 TRAINED = ("dyna", "mpc", "mcts", "mpc_init")
 """Arms with a model that learns."""
@@ -133,14 +133,14 @@ def final(record: Any) -> str:
 MAZE = Experiment(
     name="maze",
     title="The Maze: learning to act",
-    presets={"tuned": TUNED, "lean": LEAN},
+    presets={"tuned": TUNED, "lean": LEAN, "paper": PAPER},
     quick=QUICK,
     arms=arms,
     rule=lambda options: RULE,
     describe=(describe,),
     sections=(
         report.solving(
-            lambda options: RULE, PAPER, PAPER_RATIO, "The oracle's return is the most that could "
+            lambda options: RULE, EPISODES, RATIO, "The oracle's return is the most that could "
             "be had from an episode's own start (value iteration).",
         ),
         report.learning_curves(
