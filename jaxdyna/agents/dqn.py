@@ -124,10 +124,10 @@ def dqn(
 
     def act_fake(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
         """Short dreams from anywhere need no direction: exploratory actions are all alike."""
-        share = hparams.epsilon_fake
-        if share is None:
-            share = exploration.epsilon(state.exploration, hparams)
-        return explore(state, obs, key, jnp.asarray(share), jnp.zeros(num_actions))
+        return explore(
+            state, obs, key, exploration.epsilon_fake(state.exploration, hparams),
+            jnp.zeros(num_actions),
+        )  # fmt: skip
 
     def learn(state: DQNState, key: Key, hparams: DQNHParams, updates: int):
         """Gradient steps, and a new direction for the next exploring episode."""
@@ -264,15 +264,18 @@ def _mixed(
 
     real, real_numbers, real_often = drawn(state.real, key_real)
     fake, fake_numbers, fake_often = drawn(state.fake, key_fake)
-    share = hparams.fake_share
-    if share is None:
-        share = state.fake.size / jnp.maximum(state.real.size + state.fake.size, 1)
-    share = jnp.where(state.fake.size > 0, share, 0.0)
-    share = jnp.where(state.real.size > 0, share, 1.0)
-    is_fake = jax.random.uniform(key_source, shape) < share
+    is_fake = jax.random.uniform(key_source, shape) < _fake_share(state, hparams)
     window = jax.tree.map(lambda new, old: jax.vmap(jnp.where)(is_fake, new, old), fake, real)
     often = jnp.where(is_fake, fake_often, real_often)
     return window, Draws(is_fake, real_numbers, fake_numbers, often)
+
+
+def _fake_share(state: DQNState, hparams: DQNHParams) -> jax.Array:
+    """The share of a batch that is drawn from fake transitions, a scalar."""
+    kept = state.fake.size / jnp.maximum(state.real.size + state.fake.size, 1)
+    share = kept if hparams.fake_share is None else hparams.fake_share
+    share = jnp.where(state.fake.size > 0, share, 0.0)
+    return jnp.where(state.real.size > 0, share, 1.0)
 
 
 def _weighted(transitions: Transition) -> Transition:
