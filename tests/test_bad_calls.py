@@ -52,6 +52,7 @@ from jaxdyna.models import (
 )
 from jaxdyna.networks import (
     MLP,
+    ClassReward,
     Convolution,
     ConvolutionalQ,
     Discriminator,
@@ -62,6 +63,7 @@ from jaxdyna.networks import (
     LocalReward,
     Patched,
     PerceptronQ,
+    PlainQ,
     from_patches,
     glimpses,
     to_patches,
@@ -323,7 +325,7 @@ BAD = {
             (ConvolutionalQ, (0,), "num_actions"),
             (ConvolutionalQ, (2, ()), "widths"), (ConvolutionalQ, (2, (8, 0, 8)), "widths"),
             (GlimpseQ, (2.5,), "num_actions"), (GlimpseQ, (2, 0), "heads"),
-            
+            (PlainQ, (2, (8, 0)), "widths"), (ClassReward, ((0.0,), (1.0,), (0,)), "hidden"),
             (PerceptronQ, (0,), "num_actions"), (PerceptronQ, (2, (8, -1)), "hidden"),
             (FeaturePointQ, (2, 0), "channels"), (LocalDynamics, (0,), "channels"),
             (LocalDynamics, (3, (0,)), "widths"), (LocalReward, (0,), "width"),

@@ -66,6 +66,7 @@ from jaxdyna.models.evaluation import (
 )
 from jaxdyna.models.supervised import Moments, _update_moments
 from jaxdyna.networks import (
+    ClassReward,
     EncoderDecoder,
     GlimpseQ,
     JointReward,
@@ -206,9 +207,11 @@ def test_agent(name):
 
 LOCAL = pixels(FRAME, 5, PixelConfig(LocalDynamics(3, (4,))))
 CODER = EncoderDecoder(3, widths=(4, 4), kernels=(2, 2), dense=8)
+CLASSES = ClassReward((-5.0, 0.0, 1.0), (1.0, 1.0, 1.0), (8,))
 FRAME_MODELS = {
     "local": LOCAL,
     "coder": pixels(FRAME, 5, PixelConfig(CODER, reward=JointReward(), terminates=True)),
+    "classes": pixels(FRAME, 5, PixelConfig(CODER, reward=CLASSES)),
     "adversarial": pixels(
         FRAME, 5, PixelConfig(LocalDynamics(3, (4,)), shades=True), adversary=discriminator(FRAME)
     ),

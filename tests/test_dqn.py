@@ -15,7 +15,7 @@ from jaxdyna.agents import DQNConfig, DQNHParams, dqn, exploration, q_values
 from jaxdyna.agents.dqn import _descend, _mixed
 from jaxdyna.envs import Catch, FrameStack, Maze, MazeParams
 from jaxdyna.losses import td_error
-from jaxdyna.networks import GlimpseQ, PerceptronQ
+from jaxdyna.networks import GlimpseQ, PerceptronQ, PlainQ
 from jaxdyna.replay import prioritized
 from jaxdyna.types import Transition
 
@@ -133,6 +133,11 @@ def test_the_loss_by_hand():
     np.testing.assert_allclose(ended, 0.5 * (1.5 - 1) ** 2)
 
 
+def test_the_squared_loss_by_hand():
+    squared = descent(jax.random.key(0), HALVES, replace(SIMPLE, loss=optax.l2_loss))[1]
+    np.testing.assert_allclose(squared, 0.5 * (1 + 0.5 * 3 - 1) ** 2)
+
+
 @pytest.mark.slow
 def test_the_loss_without_double_by_hand():
     single = descent(jax.random.key(0), HALVES, replace(SIMPLE, double=False))[1]
@@ -187,6 +192,28 @@ def test_dreams_explore_without_direction():
     assert chosen(SIMPLE, True, DQNHParams(epsilon_fake=0.0)).tolist() == [200, 0]
 
 
+def test_dreams_explore_as_real_episodes_where_they_are_told():
+    """By the same share, of which nothing is left here."""
+    hparams = DQNHParams(epsilon_first=0.0, epsilon_fake=None)
+    assert chosen(SIMPLE, True, hparams).tolist() == [200, 0]
+    assert chosen(SIMPLE, True, hparams.replace(epsilon_first=1.0)).min() > 70
+
+
+def test_a_plain_network_is_that_of_the_authors():
+    """6,400 features of the last convolution go into the dense layer. What the convolutions see is
+    normalised over the pictures at hand: brightness is no matter, company is.
+    """
+    shapes = jax.eval_shape(PlainQ(5).init, jax.random.key(0), jnp.zeros((1, 16, 16, 12)))["params"]
+    assert shapes["Dense_0"]["kernel"].shape == (6400, 512)
+    assert shapes["Dense_1"]["kernel"].shape == (512, 5)
+    network = PlainQ(5, (4, 4), 8)
+    pictures = jax.random.uniform(jax.random.key(1), (3, 7, 7, 12))
+    params, values = jax.jit(network.init)(jax.random.key(2), pictures), jax.jit(network.apply)
+    one, three = values(params, pictures[:1]), values(params, pictures)
+    np.testing.assert_allclose(values(params, 3 * pictures[:1]), one, rtol=1e-3, atol=1e-4)
+    assert one.shape == (1, 5) and not np.allclose(three[:1], one, atol=1e-3)
+
+
 def test_values_are_of_shades():
     bytes_, shades = jnp.array([[255, 51]], jnp.uint8), jnp.array([[1.0, 0.2]])
     np.testing.assert_allclose(q_values(LINEAR, jnp.eye(2), bytes_), shades)
@@ -221,11 +248,15 @@ def mean_reward(share, dreamed):
     return mixed.reward.mean()
 
 
-@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0, None])
 def test_a_batch_is_mixed_as_it_is_told(share):
-    """Without any dream all of it is real."""
+    """Without any dream all of it is real; None is as in one replay, which here holds as many fake
+    steps as real ones.
+    """
     assert mean_reward(share, False) == 1
-    assert mean_reward(share, True) == pytest.approx(1 + share, abs=0.05)
+    assert mean_reward(share, True) == pytest.approx(
+        1 + (0.5 if share is None else share), abs=0.05
+    )
 
 
 def test_what_weighs_nothing_changes_nothing():

@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+from dataclasses import replace
+from itertools import combinations
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +14,8 @@ import tiny
 from parts import assert_same
 from renamed import respelled
 
+from jaxdyna.agents import DQNConfig
+from jaxdyna.dyna import DynaConfig
 from jaxdyna.envs import FrameStack, Maze, MazeParams, MazeState
 from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.engine.progress import Bars
@@ -19,8 +23,10 @@ from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.experiments.maze import LEVERS, PARTS
 from jaxdyna.experiments.maze.acting import describe, learned_at, replay
 from jaxdyna.experiments.maze.arms import agent_of, arms, behaviour, held_back, model_of, parts
-from jaxdyna.experiments.maze.options import LEAN, TUNED
-from jaxdyna.fields import changed
+from jaxdyna.experiments.maze.ladder import LADDER, SHORT, STEPS, ladder
+from jaxdyna.experiments.maze.options import LEAN, PAPER, TUNED
+from jaxdyna.experiments.study import arms as study_arms
+from jaxdyna.fields import changed, leaves, value_at
 from jaxdyna.planners import solve_maze
 from jaxdyna.rollout import rollout
 from jaxdyna.statistics import SolveRule, episodes_to_solve
@@ -185,7 +191,8 @@ def test_solve_rule_by_hand():
         (["--steps", "30"], "30 steps away"),
         (["--sweep", "dyna.dream_steps=5,500"], "other settings do not allow 500"),
         (["--episodes", "50"], "--dyna.num-real-first (N) is 100"),
-        (["--size", "10", "--model", "paper"], "needs a larger one"),
+        (["--size", "10", "--model", "paper"], "--model paper needs a larger one, 11 at least"),
+        (["--size", "6", "--network", "plain"], "--network plain needs a larger one, 7 at least"),
         (["--hparams.agent.priority-exponent", "-1"], "--hparams.agent.priority-exponent"),
         (["--agent.episodes", "0"], "--agent.episodes is 0"),
     ],
@@ -243,6 +250,54 @@ def test_levers(tmp_path):
     rows = json.loads((tmp_path / "results.json").read_text())["arms"]
     errors = {name: np.mean(rows[name]["model_error"]) for name in names}
     assert errors["dyna (lean preset)"] < errors["model: 3 updates an episode"] <= 1
+
+
+def test_the_ladders_steps_lead_from_the_paper_to_tuned():
+    """Each setting in which the presets differ belongs to one step."""
+    paths = [path for step in STEPS.values() for path in step]
+    counts = ("preset", *PAPER.decided)
+    differ = [leaf.path for leaf in leaves(PAPER) if leaf.value != value_at(TUNED, leaf.path)]
+    assert sorted(paths) == sorted(path for path in differ if path not in counts)
+
+
+def test_a_rung_is_one_step_away_from_one_of_its_ends():
+    study = LADDER.experiment()
+    options = study.presets["paper"].resolved()
+    table = {name: LADDER.setup(options, row) for name, row in ladder(options).items()}
+    assert tuple(table) == options.arms and {"paper", "tuned", "model-free: tuned"} < table.keys()
+
+    def apart(one, other):
+        return {
+            leaf.path
+            for leaf in leaves(table[one])
+            if leaf.path not in PAPER.decided and leaf.value != value_at(table[other], leaf.path)
+        }
+
+    for step, paths in STEPS.items():
+        for end, rung in (("paper", f"paper with {step}"), ("tuned", f"tuned without {step}")):
+            assert set() < apart(end, rung) <= {*paths, "dyna.dream_episodes"}
+    ends = apart("paper", "tuned")
+    assert ends == {path for step in STEPS.values() for path in step} | {"dyna.dream_episodes"}
+    dreamed = {
+        name: setup.dyna.dream_updates * setup.dyna.dream_episodes * setup.dyna.dream_steps
+        for name, setup in table.items()
+    }
+    assert dreamed["paper"] == dreamed[f"paper with {SHORT}"] == 160
+    assert dreamed["tuned"] == dreamed[f"tuned without {SHORT}"] == 2000
+
+
+def test_a_model_free_agent_notices_every_step_that_it_is_played_with():
+    options = LADDER.experiment().presets["paper"].resolved()
+    rows = {name: row for name, row in ladder(options).items() if name.startswith("model-free: ")}
+    setups = [LADDER.setup(options, row) for row in rows.values()]
+    unseen = {"fake_updates": 0, "fake_capacity": 1, "fake_episodes": 1}
+    agents = [(replace(agent_of(setup), **unseen), setup.hparams.agent) for setup in setups]
+    assert len(rows) == 16 and all(one != other for one, other in combinations(agents, 2))
+
+
+def test_all_updates_at_once_are_as_many_as_after_every_dream():
+    config = study_arms.busy(DQNConfig(updates=2, fake_updates=3), DynaConfig(dream_updates=4))
+    assert config.updates == 14
 
 
 def test_every_lever_is_told_apart_from_the_preset():

@@ -20,7 +20,7 @@ from jaxdyna.models import (
     frame_probability,
     pixels,
 )
-from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalReward
+from jaxdyna.networks import ClassReward, EncoderDecoder, JointReward, LocalDynamics, LocalReward
 from jaxdyna.types import Transition
 
 SIZE = 9
@@ -248,6 +248,40 @@ def test_a_reward_is_laid_where_it_is_earned():
     lights = jnp.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1.0]])
     earned = jax.jit(head.apply)(params, None, lights[:, None, None])[0]
     np.testing.assert_allclose(earned, [0, 0, 0, -5, 1, -4], atol=0.4)
+
+
+def test_a_class_of_rewards_by_hand():
+    """A head that knows nothing is as far from every class, what it predicts is the first, and what
+    lies between two classes is the nearest's.
+    """
+    head, features = ClassReward((-5.0, 0.0, 1.0), (1.0, 0.1, 2.0), ()), jnp.ones((4, 2, 3))
+    params = jax.tree.map(jnp.zeros_like, head.init(jax.random.key(0), features, features))
+    reward, odds = head.apply(params, features, features)
+    truth = jnp.array([-5.0, -4.0, 0.0, 1.0])
+    assert odds.shape == (4, 3) and (reward == -5).all()
+    error = head.error(reward, odds, truth)
+    np.testing.assert_allclose(error, np.array([1, 1, 0.1, 2]) * np.log(3), rtol=1e-6)
+    sure = head.error(reward, jnp.array([[9.0, 0, 0]] * 4), truth)
+    np.testing.assert_allclose(sure, [2.5e-4, 2.5e-4, 0.9, 18], rtol=0.02)
+    bias = {"params": params["params"] | {"Dense_0": {"kernel": jnp.zeros((6, 3)),
+                                                      "bias": jnp.array([0, 0, 1.0])}}}  # fmt: skip
+    assert (head.apply(bias, features, features)[0] == 1).all()
+
+
+@jax.jit
+def class_loss():
+    """The reward's loss of a frame model whose weights are zero, of a collision and a goal."""
+    head = ClassReward((-5.0, 0.0, 1.0), (1.0, 1.0, 3.0), ())
+    model = pixels((3, 3, 3), 5, PixelConfig(LocalDynamics(3, (2,)), reward=head))
+    state = model.init(jax.random.key(0), PixelHParams())
+    state = state.replace(params=jax.tree.map(jnp.zeros_like, state.params))
+    stacks, no = jnp.zeros((2, 3, 3, 12), jnp.uint8), jnp.zeros(2, bool)
+    steps = Transition(stacks, jnp.zeros(2, int), jnp.array([-5.0, 1.0]), stacks, no, no, ~no)
+    return model.update(state, steps, jax.random.key(1), PixelHParams())[1]["reward_loss"]
+
+
+def test_a_heads_own_loss_counts():
+    np.testing.assert_allclose(class_loss(), 2 * np.log(3), rtol=1e-6)
 
 
 def test_a_dreamed_maze_is_an_environment(episodes):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxdyna.envs import Catch, CatchParams, FrameStack, Maze, MazeParams, Replayed, ReplayedParams
-from jaxdyna.experiments.study.frames import draw_state
+from jaxdyna.experiments.study.frames import draw_first_stack, draw_first_state, draw_state
 from jaxdyna.replay import frames as frame_replay
 from jaxdyna.rollout import rollout
 
@@ -56,6 +56,38 @@ def test_a_dream_goes_on_from_where_a_real_episode_has_been(name):
             assert dreamed.reward[number, 0] == reward
             compared += 1
     assert compared > 0
+
+
+def test_dreams_begin_where_episodes_did():
+    """At first observations of those that are still held, with their states."""
+    env, params, steps = WORLDS["maze"]
+
+    @jax.jit
+    def begin(key):
+        key_play, key_draw = jax.random.split(key)
+        real, states = rollout(env, lambda obs, key: jnp.int32(2), key_play, params, 4,
+                               num_steps=steps, record=lambda state, *_: state.env)  # fmt: skip
+        example = jax.tree.map(lambda leaf: leaf[0, 0], (real, states))
+        held = frame_replay.init(3 * steps + 3, 10, example[0], beside=example[1])
+        held = frame_replay.add(
+            held, jax.tree.map(lambda leaf: leaf[:2], real), states_of(states, 0)
+        )
+        held = frame_replay.add(
+            held, jax.tree.map(lambda leaf: leaf[2:], real), states_of(states, 2)
+        )
+        keys = jax.random.split(key_draw, 40)
+        seen, drawn = jax.vmap(draw_first_state, (0, None))(keys, held)
+        return real.obs[:, 0], states.obstacles[:, 0], seen, drawn, draw_first_stack(key_draw, held)
+
+    def states_of(states, first):
+        return jax.tree.map(lambda leaf: leaf[first : first + 2], states)
+
+    with jax.debug_key_reuse(False):
+        firsts, obstacles, seen, drawn, alone = jax.tree.map(np.asarray, begin(jax.random.key(5)))
+    which = [int(np.flatnonzero((firsts == one).all((1, 2, 3)))[0]) for one in seen]
+    assert set(which) == {1, 2, 3}  # the first has made room
+    np.testing.assert_array_equal(drawn.obstacles, obstacles[which])
+    assert (drawn.time == 0).all() and (firsts[1:] == alone).all((1, 2, 3)).any()
 
 
 def test_a_state_without_a_clock_is_refused():

@@ -152,6 +152,13 @@ BLOCKS = dict.fromkeys(
 """Runs that were computed together, where that was more than one."""
 
 NEW = {
+    "maze-paper": [
+        "maze", "--preset", "paper", "--quick", "--seeds", "1", "--episodes", "17", "--size", "7",
+        "--steps", "13", "--obstacles", "1", "--coder-widths", "2", "2", "2", "--coder-dense", "8",
+        "--convolutions", "2", "2", "2", "--dense", "8", "--reward-hidden", "4",
+        "--dyna.model-updates", "1", "--agent.updates", "1", "--agent.fake-updates", "1",
+        "--agent.fake-capacity", "100", "--arms", "dyna",
+    ],
     "catch": [
         "catch", "--quick", "--episodes", "24", "--rows", "5", "--dyna.num-real-first", "4",
         "--dyna.model-updates", "2", "--agent.updates", "2", "--agent.fake-updates", "2",

@@ -125,7 +125,8 @@ def dqn(
 
     def act_fake(state: DQNState, obs: jax.Array, key: Key, hparams: DQNHParams) -> jax.Array:
         # short dreams from anywhere need no direction: exploratory actions are all alike
-        return explore(state, obs, key, jnp.asarray(hparams.epsilon_fake), jnp.zeros(num_actions))
+        share = exploration.epsilon_fake(state.exploration, hparams)
+        return explore(state, obs, key, share, jnp.zeros(num_actions))
 
     def learn(state: DQNState, key: Key, hparams: DQNHParams, updates: int):
         """Gradient steps, and a new direction for the next exploring episode."""
@@ -213,7 +214,7 @@ def _descend(
         )  # fmt: skip
         weight = draws.often**-hparams.importance_exponent
         weight = batch.first.weights * weight / weight.max()
-        return (weight * optax.huber_loss(errors)).mean(), errors
+        return (weight * config.loss(errors)).mean(), errors
 
     (loss, errors), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.params)
     optimizer = config.optimizer(hparams.learning_rate)
@@ -265,12 +266,18 @@ def _mixed(
 
     real, real_numbers, real_often = drawn(state.real, key_real)
     fake, fake_numbers, fake_often = drawn(state.fake, key_fake)
-    share = jnp.where(state.fake.size > 0, hparams.fake_share, 0.0)
-    share = jnp.where(state.real.size > 0, share, 1.0)
-    is_fake = jax.random.uniform(key_source, shape) < share
+    is_fake = jax.random.uniform(key_source, shape) < _fake_share(state, hparams)
     window = jax.tree.map(lambda new, old: jax.vmap(jnp.where)(is_fake, new, old), fake, real)
     often = jnp.where(is_fake, fake_often, real_often)
     return window, Draws(is_fake, real_numbers, fake_numbers, often)
+
+
+def _fake_share(state: DQNState, hparams: DQNHParams) -> jax.Array:
+    """The share of a batch that is drawn from fake transitions, a scalar."""
+    kept = state.fake.size / jnp.maximum(state.real.size + state.fake.size, 1)
+    share = kept if hparams.fake_share is None else hparams.fake_share
+    share = jnp.where(state.fake.size > 0, share, 0.0)
+    return jnp.where(state.real.size > 0, share, 1.0)
 
 
 def _weighted(transitions: Transition) -> Transition:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,11 +30,13 @@ class DQNHParams:
         at_least=0, everyday=True,
     )  # fmt: skip
     epsilon_episodes: float = setting(20.0, "Real episodes in which it then falls.", at_least=0)
-    epsilon_fake: float = setting(
-        0.3, "Share of exploratory actions in dreams.", at_least=0, at_most=1
-    )
-    fake_share: float = setting(
-        0.5, "Share of each batch that is drawn from fake transitions, once there are any.",
+    epsilon_fake: float | None = setting(
+        0.3, "Share of exploratory actions in dreams; None: as in real episodes.", at_least=0,
+        at_most=1,
+    )  # fmt: skip
+    fake_share: float | None = setting(
+        0.5, "Share of each batch that is drawn from fake transitions, once there are any; None: "
+        "as large as their share of all that are kept, as if in one replay.",
         at_least=0, at_most=1,
     )  # fmt: skip
     target_rate: float = setting(
@@ -76,6 +79,10 @@ class DQNConfig:
     double: bool = setting(
         True, "Choose the next action by the online network instead of the target network."
     )
+    loss: Callable[[Any], Any] = setting(
+        optax.huber_loss, "Loss of a TD error: Huber's is linear beyond 1 (Mnih et al. 2015).",
+        choices={"huber": optax.huber_loss, "squared": optax.l2_loss},
+    )  # fmt: skip
     target_period: int = setting(
         1,
         "Gradient steps between moves of the target network; with a target_rate of 1 it is copied "

@@ -51,3 +51,9 @@ def epsilon(state: Exploration, hparams: DQNHParams) -> jax.Array:
     falling = (state.episodes - hparams.epsilon_hold) / jnp.maximum(hparams.epsilon_episodes, 1e-6)
     gone = jnp.clip(falling, 0, 1)
     return hparams.epsilon_first + gone * (hparams.epsilon_last - hparams.epsilon_first)
+
+
+def epsilon_fake(state: Exploration, hparams: DQNHParams) -> jax.Array:
+    """The same in dreams."""
+    share = hparams.epsilon_fake
+    return epsilon(state, hparams) if share is None else jnp.asarray(share)

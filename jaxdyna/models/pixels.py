@@ -47,10 +47,11 @@ class PixelConfig:
     reward: Any = setting(
         LocalReward(),
         "A module (features, next_frame [N, H, W, C]) -> (reward [N], charge [N]), such as "
-        "jaxdyna.networks.JointReward and LocalReward; None predicts no reward.",
+        "jaxdyna.networks.JointReward and LocalReward, or with a loss of its own, as ClassReward; "
+        "None predicts no reward.",
     )
     reward_weight: float = setting(
-        1.0, "Weight of the reward's squared error beside the pixels' summed loss.", at_least=0
+        1.0, "Weight of the reward's loss beside the pixels' summed one.", at_least=0
     )
     terminates: bool = setting(
         False, "Whether the end of the episode is predicted; without it no episode ends."
@@ -195,11 +196,16 @@ def _losses(
     reward, charge, end_logit = outcome
     parts = {"frame_loss": config.loss.error(raw, truth).sum((1, 2, 3))}
     if config.reward is not None:
-        parts["reward_loss"] = jnp.square(reward - batch.reward) + charge
+        error = getattr(config.reward, "error", _squared)
+        parts["reward_loss"] = error(reward, charge, batch.reward)
     if config.terminates:
         end = batch.terminated.astype(jnp.float32)
         parts["end_loss"] = optax.sigmoid_binary_cross_entropy(end_logit, end)
     return parts
+
+
+def _squared(reward: jax.Array, charge: jax.Array, truth: jax.Array) -> jax.Array:
+    return jnp.square(reward - truth) + charge
 
 
 def _weigh(

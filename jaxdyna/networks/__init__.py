@@ -1,6 +1,7 @@
 """Flax Linen modules. The rest of the package sees only parameters and functions."""
 
 from jaxdyna.networks.frames import (
+    ClassReward,
     EncoderDecoder,
     FrameModel,
     JointReward,
@@ -16,12 +17,13 @@ from jaxdyna.networks.q_networks import (
     FeaturePointQ,
     GlimpseQ,
     PerceptronQ,
+    PlainQ,
     glimpses,
 )
 
 __all__ = [
-    "MLP", "Convolution", "ConvolutionalQ", "Discriminator", "EncoderDecoder", "FeaturePointQ",
-    "FrameModel", "GlimpseQ", "JointReward", "LocalDynamics", "LocalReward", "Patched",
-    "PerceptronQ", "RectangleDynamics", "Resolution", "SignedReward", "from_patches", "glimpses",
-    "to_patches",
+    "MLP", "ClassReward", "Convolution", "ConvolutionalQ", "Discriminator", "EncoderDecoder",
+    "FeaturePointQ", "FrameModel", "GlimpseQ", "JointReward", "LocalDynamics", "LocalReward",
+    "Patched", "PerceptronQ", "PlainQ", "RectangleDynamics", "Resolution", "SignedReward",
+    "from_patches", "glimpses", "to_patches",
 ]  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import optax
 from flax import linen as nn
 
 from jaxdyna.networks.layers import Convolution, Sized
@@ -143,6 +144,40 @@ class SignedReward(nn.Module):
         return reward, jnp.zeros_like(reward)
 
 
+class ClassReward(Sized):
+    """The reward as a class, by a perceptron on the joint features: the paper's authors' head
+    (Leibfried et al. 2016 predict rewards by classes too). It predicts the most likely class's.
+
+    Attributes:
+        rewards: of the classes; a reward belongs to the class of the nearest.
+        weights: of the classes in the loss.
+        hidden: widths of the hidden layers.
+    """
+
+    rewards: tuple[float, ...]
+    weights: tuple[float, ...]
+    hidden: tuple[int, ...] = (512, 256)
+
+    @nn.compact
+    def __call__(self, features: jax.Array, next_frame: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """From features ``[N, ...]`` to rewards ``[N]`` and the classes' log odds ``[N, classes]``,
+        which `error` takes.
+        """
+        del next_frame
+        x = features.reshape(features.shape[0], -1)
+        for width in self.hidden:
+            x = nn.relu(nn.Dense(width)(x))
+        odds = nn.Dense(len(self.rewards))(x)
+        return jnp.asarray(self.rewards)[odds.argmax(-1)], odds
+
+    def error(self, reward: jax.Array, odds: jax.Array, truth: jax.Array) -> jax.Array:
+        """The weighted cross-entropy ``[N]`` of what the head says and the true rewards ``[N]``."""
+        del reward
+        label = jnp.abs(truth[:, None] - jnp.asarray(self.rewards)).argmin(-1)
+        entropy = optax.softmax_cross_entropy_with_integer_labels(odds, label)
+        return jnp.asarray(self.weights)[label] * entropy
+
+
 class FrameModel(nn.Module):
     """A network that predicts the next picture, with heads for the reward and the end.
 
@@ -150,7 +185,8 @@ class FrameModel(nn.Module):
         network: ``(stack, action, train, valid) -> (raw, features)``: `LocalDynamics`,
             `EncoderDecoder`.
         reward: ``(features, next_frame) -> (reward [N], charge [N])``, the charge to be added to
-            the loss: `LocalReward`, `JointReward`; None for 0.
+            the loss: `LocalReward`, `JointReward`; or one with a loss of its own, `ClassReward`;
+            None for 0.
         terminates: whether there is a head for the end.
     """
 

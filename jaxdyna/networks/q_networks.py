@@ -40,6 +40,33 @@ class ConvolutionalQ(Sized):
         return dueling(nn.Dense(self.num_actions + 1)(x))
 
 
+class PlainQ(Sized):
+    """Values of actions from a picture by 3x3 convolutions without padding and a dense layer, as in
+    the code of the paper's authors: a convolution's features are normalised over the pictures at
+    hand (Ioffe and Szegedy 2015), a lone picture's over itself, for that code never stops training.
+
+    Attributes:
+        num_actions: how many values.
+        widths: channels of the convolutions; each takes two cells off a picture's sides.
+        dense: width of the dense layer.
+    """
+
+    num_actions: int
+    widths: tuple[int, ...] = (32, 64, 64)
+    dense: int = 512
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """From ``[N, H, W, C]`` in [0, 1] to ``[N, actions]``."""
+        for number, features in enumerate(self.widths):
+            x = standardised(Convolution(features, 3, 0)(x))
+            scale = self.param(f"scale_{number}", nn.initializers.ones, (features,))
+            shift = self.param(f"shift_{number}", nn.initializers.zeros, (features,))
+            x = nn.relu(scale * x + shift)
+        x = nn.relu(nn.Dense(self.dense)(x.reshape(x.shape[0], -1)))
+        return nn.Dense(self.num_actions)(x)
+
+
 class GlimpseQ(Sized):
     """Values of actions from a picture: heads that each look for one thing, and a perceptron on
     where that is and on a glimpse of what is around it. A head's map is a mixture of the stack's
@@ -101,6 +128,16 @@ def normalised(x: jax.Array, hidden: tuple[int, ...]) -> jax.Array:
     for features in hidden:
         x = nn.relu(nn.LayerNorm()(nn.Dense(features)(x)))
     return x
+
+
+def standardised(x: jax.Array) -> jax.Array:
+    """Each feature of ``[N, H, W, C]`` less its mean, over its standard deviation. Means are matrix
+    products: sums over all but the last axis are slow on a CPU.
+    """
+    flat = x.reshape(-1, x.shape[-1])
+    share = jnp.full(len(flat), 1 / len(flat))
+    mean, square = share @ flat, share @ jnp.square(flat)
+    return (x - mean) * jax.lax.rsqrt(jnp.maximum(square - mean**2, 0) + 1e-5)
 
 
 def glimpses(x: jax.Array, by_row: jax.Array, by_column: jax.Array, size: int) -> jax.Array:

@@ -81,7 +81,7 @@ def arms(options: CatchOptions) -> dict[str, study.Made]:
     return study.standard_arms(
         dyna, options.dyna, options.hparams, true_dyna(dyna),
         study.Hooks(judge, piece=10, block=options.block),
-        busier=parts(game, study.busy(agent), options.widths).agent,
+        busier=parts(game, study.busy(agent, options.dyna), options.widths).agent,
     )  # fmt: skip
 
 

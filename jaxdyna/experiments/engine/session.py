@@ -277,7 +277,9 @@ class Session:
         together: dict[Any, list[Entry]] = {}
         for entry in self.entries:
             if entry.name not in self.curves:
-                together.setdefault((entry.arm, arms[entry.name].work), []).append(entry)
+                arm = arms[entry.name]
+                program = arm.work, jax.tree.structure(arm.hparams)
+                together.setdefault((entry.arm, program), []).append(entry)
         counts = Counter(arm for arm, _ in together)
         groups = {_group_name(group, counts): group for group in together.values()}
         totals = {

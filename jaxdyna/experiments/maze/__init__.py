@@ -2,6 +2,7 @@
 
 from jaxdyna.experiments.maze.acting import MAZE
 from jaxdyna.experiments.maze.frames import FRAMES
+from jaxdyna.experiments.maze.ladder import LADDER
 from jaxdyna.experiments.maze.levers import LEVERS
 
-PARTS = (MAZE, FRAMES, LEVERS)
+PARTS = (MAZE, FRAMES, LEVERS, LADDER)

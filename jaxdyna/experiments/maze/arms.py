@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 
 from jaxdyna import losses, networks, planners
 from jaxdyna.agents import CloningConfig, DQNConfig, DQNState, cloning, dqn, q_values, real_memory
@@ -20,7 +21,6 @@ from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
 from jaxdyna.envs import FrameStack, Maze, MazeParams, MazeState
 from jaxdyna.envs.maze import MOVES
 from jaxdyna.experiments.frames.options import decayed_adam
-from jaxdyna.experiments.maze.frames import TUNED as FRAMES
 from jaxdyna.experiments.maze.options import MazeOptions
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
@@ -51,10 +51,11 @@ def arms(options: MazeOptions, judged: bool = True) -> dict[str, study.Made]:
     dreamless = replace(options.dyna, dream_updates=0)
     hooks = study.Hooks(judge if judged else None, piece=10, block=options.block)
     common = options.steps if options.judged_on == "common" else None
-    dyna = parts(maze, agent, model, common)
+    first = options.dream_start == "observed"
+    dyna = parts(maze, agent, model, common, first=first)
     made = study.standard_arms(
-        dyna, options.dyna, options.hparams, true_dyna(dyna), hooks,
-        busier=parts(maze, study.busy(agent), model).agent,
+        dyna, options.dyna, options.hparams, true_dyna(dyna, first), hooks,
+        busier=parts(maze, study.busy(agent, options.dyna), model).agent,
     )  # fmt: skip
 
     def planned(make: Any, settings: Any) -> Any:
@@ -79,8 +80,10 @@ def arms(options: MazeOptions, judged: bool = True) -> dict[str, study.Made]:
 def agent_of(options: MazeOptions) -> DQNConfig:
     """DQN's counts and network, with room for what a run can add to its replays and no more."""
     network: Any = networks.GlimpseQ(len(MOVES))
-    if options.network == "convolutions":
-        network = networks.ConvolutionalQ(len(MOVES), options.convolutions, options.dense)
+    if options.network != "glimpse":
+        plain = options.network == "plain"
+        kind: Any = networks.PlainQ if plain else networks.ConvolutionalQ
+        network = kind(len(MOVES), options.convolutions, options.dense)
     return replace(study.sized(options.agent, options.dyna), network=network)
 
 
@@ -89,24 +92,35 @@ def model_of(options: MazeOptions) -> PixelConfig:
     cross-entropy.
     """
     loss = {"bce": losses.bce, "l1": losses.l1, "l2": losses.l2}[options.model_loss]
+    head: Any = networks.LocalReward()
+    if options.model_reward == "classes":
+        params = options.hparams.env
+        rewards = (float(params.collision_reward), 0.0, float(params.goal_reward))
+        head = networks.ClassReward(rewards, options.reward_weights, options.reward_hidden)
+    weighed: dict[str, Any] = {"reward": head, "reward_weight": options.reward_weight}
     if options.model == "local":
-        return PixelConfig(networks.LocalDynamics(3, options.model_widths), loss)
-    coder = networks.EncoderDecoder(3, FRAMES.widths, FRAMES.kernels, FRAMES.dense)
-    threshold = 0.2 if loss is losses.bce else 0.5
-    return PixelConfig(coder, loss, threshold, optimizer=decayed_adam(FRAMES.paper.weight_decay))
+        return PixelConfig(networks.LocalDynamics(3, options.model_widths), loss, **weighed)
+    coder = networks.EncoderDecoder(
+        3, options.coder_widths, options.coder_kernels, options.coder_dense
+    )
+    return PixelConfig(
+        coder, loss, 0.2 if loss is losses.bce else 0.5, **weighed,
+        optimizer=decayed_adam(options.coder_decay) if options.coder_decay else optax.adam,
+    )  # fmt: skip
 
 
 @cache
 def parts(
     maze: Maze, agent: DQNConfig, model: PixelConfig, common: int | None = None,
-    shared: Any = real_memory,
+    shared: Any = real_memory, first: bool = False,
 ) -> Dyna:  # fmt: skip
     """The parts of ``dyna``: one object, and so one program, for the same settings. With a model
-    that is judged on `common_transitions` of so many steps, if any; ``shared``: see `frame_dyna`.
+    that is judged on `common_transitions` of so many steps, if any; ``shared`` and ``first``: see
+    `frame_dyna`.
     """
     env, shape = FrameStack(maze), (maze.size, maze.size, 3)
     learner, learned = dqn(shape, len(MOVES), agent), pixels(shape, len(MOVES), model)
-    dyna = frame_dyna(env, learner, learned, partial(behaviour, maze), shared)
+    dyna = frame_dyna(env, learner, learned, partial(behaviour, maze), shared, first)
     return dyna if common is None else on_common(dyna, common_transitions(env, common))
 
 

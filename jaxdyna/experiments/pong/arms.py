@@ -54,7 +54,7 @@ def arms(options: PongOptions) -> dict[str, study.Made]:
     blurring = {"dyna_l2": l2, "dyna_adversarial": parts(game, agent, blurred, True)} | mended
     return study.standard_arms(
         dyna, options.dyna, hparams, true_dyna(dyna), hooks,
-        busier=parts(game, study.busy(agent), ours).agent,
+        busier=parts(game, study.busy(agent, options.dyna), ours).agent,
     ) | {
         name: partial(study.dyna_arm, each, options.dyna, theirs, hooks)
         for name, each in blurring.items()

@@ -123,9 +123,9 @@ def greedy_policy(dyna: Dyna, state: DynaState, hparams: DynaHParams) -> Callabl
     return lambda obs, key: dyna.agent.act(state.agent, obs, key, greedy(hparams.agent))
 
 
-def busy(config: Any) -> Any:
+def busy(config: Any, dyna: DynaConfig) -> Any:
     """A DQN's config that makes the updates after fake episodes after real ones as well."""
-    return replace(config, updates=config.updates + config.fake_updates)
+    return replace(config, updates=config.updates + dyna.dream_updates * config.fake_updates)
 
 
 def sized(config: Any, dyna: DynaConfig) -> Any:

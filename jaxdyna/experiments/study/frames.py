@@ -28,11 +28,12 @@ class Recorded(NamedTuple):
 def frame_dyna(
     env: Environment, agent: Agent, model: DynamicsModel,
     watch: Callable[[Transition, Recorded, Any], Metrics] | None = None,
-    shared: Callable[[Any], FrameReplay] | None = real_memory,
+    shared: Callable[[Any], FrameReplay] | None = real_memory, first: bool = False,
 ) -> Dyna:  # fmt: skip
-    """Dyna whose dreams begin at any replayed stack of frames, and whose model sees rewards and
-    punishments more often than they come. Both come from the agent's own replay, where ``shared``
-    finds it in the agent's state; None: from one of the run's own.
+    """Dyna whose dreams begin at any replayed stack of frames, or at any ``first`` one of a real
+    episode, and whose model sees rewards and punishments more often than they come. Both come from
+    the agent's own replay, where ``shared`` finds it in the agent's state; None: from one of the
+    run's own.
     """
     kept = memory.frames(_rewarded, shared=shared)
 
@@ -42,22 +43,24 @@ def frame_dyna(
     def record(state: StackState, after: StackState, info: dict[str, jax.Array]) -> Recorded:
         return Recorded(state.env, info)
 
-    learned = LearnedEnvironment(env, model.predict, draw_stack, probability_rule, uncertain)
+    start = draw_first_stack if first else draw_stack
+    learned = LearnedEnvironment(env, model.predict, start, probability_rule, uncertain)
     dream, errors = Dream(learned, params), frame_errors(model.predict)
     return Dyna(env, agent, model, dream, errors, watch, kept, record=record)
 
 
 @cache
-def true_dyna(dyna: Dyna) -> Dyna:
+def true_dyna(dyna: Dyna, first: bool = False) -> Dyna:
     """The oracle's parts: dreams in the true environment, from states that are remembered beside
-    the frames.
+    the frames, for ``first`` see `frame_dyna`.
     """
     env: Any = dyna.env
+    draw = draw_first_state if first else draw_state
 
     def params(state: DynaState, hparams: DynaHParams) -> ReplayedParams:
         return ReplayedParams(hparams.env, state.replay, hparams.env.max_steps)
 
-    return with_states(dyna)._replace(dream=Dream(Replayed(env, draw_state), params))
+    return with_states(dyna)._replace(dream=Dream(Replayed(env, draw), params))
 
 
 @cache
@@ -81,10 +84,27 @@ def draw_stack(key: Key, held: FrameReplay) -> jax.Array:
     return frame_replay.sample(held, key, ()).obs
 
 
+def draw_first_stack(key: Key, held: FrameReplay) -> jax.Array:
+    """The first observation of any replayed episode."""
+    return frame_replay.sample(held, key, (), _first(held)).obs
+
+
 def draw_state(key: Key, held: FrameReplay) -> tuple[jax.Array, Any]:
-    """The same, and the environment's state there."""
-    number = frame_replay.draw_numbers(held, key, ())
+    """As `draw_stack`, and the environment's state there."""
+    return _with_state(held, frame_replay.draw_numbers(held, key, ()))
+
+
+def draw_first_state(key: Key, held: FrameReplay) -> tuple[jax.Array, Any]:
+    """As `draw_first_stack`, likewise."""
+    return _with_state(held, frame_replay.draw_numbers(held, key, (), _first(held)))
+
+
+def _with_state(held: FrameReplay, number: jax.Array) -> tuple[jax.Array, Any]:
     return frame_replay.take(held, number).obs, frame_replay.take_beside(held, number)
+
+
+def _first(held: FrameReplay) -> jax.Array:
+    return (held.held & (held.time == 0)).astype(jnp.float32)
 
 
 def _rewarded(rest: dict[str, jax.Array]) -> jax.Array:
