@@ -12,7 +12,7 @@ from parts import assert_close, assert_same, returns_of
 
 from jaxdyna import rollout
 from jaxdyna.agents import DQNConfig, DQNHParams, dqn, exploration, q_values
-from jaxdyna.agents.dqn import _descend, _mixed
+from jaxdyna.agents.dqn import BEGUN, _descend, _mixed
 from jaxdyna.envs import Catch, FrameStack, Maze, MazeParams
 from jaxdyna.losses import td_error
 from jaxdyna.networks import GlimpseQ, PerceptronQ
@@ -341,6 +341,62 @@ def test_target_network():
         *map(jax.tree.leaves, (slow.target, slow.params, before.params)), strict=True
     ):
         np.testing.assert_allclose(target, 0.005 * new + 0.995 * old, atol=1e-6)
+
+
+def updated(agent, state, numbers):
+    """After the updates of these numbers, each on episodes of its own."""
+    for n in numbers:
+        state = agent.update(state, play(n), jax.random.key(10 + n), HPARAMS)[0]
+    return state
+
+
+def test_networks_begin_anew():
+    """Of 3 gradient steps an update the third of these comes after 6; what is replayed, with its
+    priorities, and how much is explored stay.
+    """
+    plain, due, not_yet = make(), make(reset_every=6), make(reset_every=7)
+    start = plain.init(jax.random.key(0), HPARAMS)
+    second, third = (updated(plain, start, numbers) for numbers in ([0, 1], [0, 1, 2]))
+    assert third.steps == 9
+    assert_same(updated(due, start, [0, 1]), second)
+    assert_same(updated(not_yet, start, [0, 1, 2]), third)
+    new = plain.init(jax.random.split(jax.random.key(12), 3)[2], HPARAMS)
+    begun = second.replace(**{name: getattr(new, name) for name in BEGUN})
+    expected = updated(plain, begun, [2])
+    assert_same(updated(due, start, [0, 1, 2]), expected)
+    assert expected.steps == 3 and expected.real.size == third.real.size == 36
+    again = updated(due, expected, [0, 1])
+    assert again.steps == 3  # 6 after the first of them
+
+
+def test_runs_vmapped_together_begin_anew_each_in_its_time():
+    agent = dqn((SIZE, SIZE, 3), 5, replace(SMALL, optimizer=optax.sgd, reset_every=6))
+    start = jax.jit(agent.init)(jax.random.key(0), HPARAMS)
+    states = [start.replace(steps=jnp.int32(steps)) for steps in (5, 6)]
+    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+    update = jax.jit(jax.vmap(agent.update, (0, None, None, None)))
+    together = update(both, play(0), jax.random.key(1), HPARAMS)[0]
+    assert together.steps.tolist() == [8, 3]
+    for number, state in enumerate(states):
+        alone = jax.jit(agent.update)(state, play(0), jax.random.key(1), HPARAMS)[0]
+        mine = jax.tree.map(lambda leaf, n=number: leaf[n], together.params)
+        assert_close(mine, alone.params, 1e-4)
+
+
+def test_updates_for_each_step():
+    """12 steps make a quarter as many gradient steps, beside the one after each update."""
+    agent = make(updates=1, updates_per_step=0.25)
+    start = agent.init(jax.random.key(0), HPARAMS)
+    after, metrics = agent.update(start, play(0), jax.random.key(1), HPARAMS)
+    said, known = make(updates=4).update(start, play(0), jax.random.key(1), HPARAMS)
+    assert after.steps == 4
+    assert_close((after.params, metrics), (said.params, known), 1e-4)
+    halved = play(0)._replace(mask=play(0).mask.at[1].set(False))
+    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), play(0), halved)
+    together = jax.jit(jax.vmap(agent.update, (None, 0, None, None)))
+    assert together(start, both, jax.random.key(1), HPARAMS)[0].steps.tolist() == [4, 3]
+    dreamed = agent.update_fake(start, play(1), jax.random.key(2), HPARAMS)[0]
+    assert dreamed.steps == 2
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,6 @@
 
 from jaxdyna.experiments.maze.acting import MAZE
 from jaxdyna.experiments.maze.frames import FRAMES
-from jaxdyna.experiments.maze.levers import LEVERS
+from jaxdyna.experiments.maze.levers import BASELINES, DYNA_GRID, LEVERS
 
-PARTS = (MAZE, FRAMES, LEVERS)
+PARTS = (MAZE, FRAMES, LEVERS, BASELINES, DYNA_GRID)
