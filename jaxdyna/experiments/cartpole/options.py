@@ -79,6 +79,9 @@ class CartPoleOptions(Options):
     mpc: ShootingConfig = setting(factory=lambda: ShootingConfig(30, 32, temperature=5.0))
     mcts: SearchConfig = setting(factory=lambda: SearchConfig(simulations=16))
     cloning: CloningConfig = setting(factory=CloningConfig)
+    hparams: DynaHParams = setting(factory=lambda: DynaHParams(
+        ReinforceHParams(), SupervisedHParams(), CartPoleParams(), DreamHParams(0.1),
+    ))  # fmt: skip
     dqn_hidden: tuple[int, ...] = setting(
         (64, 64), "widths of the hidden layers of the arm dqn", at_least=1
     )
@@ -88,9 +91,6 @@ class CartPoleOptions(Options):
     ))  # fmt: skip
     dqn_hparams: DQNHParams = setting(factory=lambda: DQNHParams(
         discount=0.99, epsilon_episodes=50.0,
-    ))  # fmt: skip
-    hparams: DynaHParams = setting(factory=lambda: DynaHParams(
-        ReinforceHParams(), SupervisedHParams(), CartPoleParams(), DreamHParams(0.1),
     ))  # fmt: skip
 
     def resolved(self) -> Self:
