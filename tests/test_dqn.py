@@ -343,60 +343,80 @@ def test_target_network():
         np.testing.assert_allclose(target, 0.005 * new + 0.995 * old, atol=1e-6)
 
 
-def updated(agent, state, numbers):
-    """After the updates of these numbers, each on episodes of its own."""
-    for n in numbers:
-        state = agent.update(state, play(n), jax.random.key(10 + n), HPARAMS)[0]
-    return state
+class Drawn(Linear):
+    """That begins at random."""
+
+    def init(self, key, x):
+        return jax.random.normal(key, (2, 2))
+
+
+BRIEF = DQNConfig(
+    network=Drawn(), updates=3, batch=8, capacity=40, episodes=9, fake_capacity=8,
+    fake_episodes=4, optimizer=optax.sgd,
+)  # fmt: skip
+
+
+@cache
+def brief(together=False, **changes):
+    """A learner's init and update, of several runs' episodes where it is ``together``."""
+    agent = dqn((2,), 2, replace(BRIEF, **changes))
+    update = jax.vmap(agent.update, (0, 0, None, None)) if together else agent.update
+    return agent.init, jax.jit(update)
+
+
+def walk(seed, steps=6):
+    """Two episodes of a random walk, the second of so many steps."""
+    draw = np.random.default_rng(seed)
+    obs = draw.normal(size=(2, 7, 2)).cumsum(1).astype(np.float32)
+    mask = np.arange(6) < np.array([[6], [steps]])
+    ends, reward = np.zeros((2, 6), bool), draw.normal(size=(2, 6)).astype(np.float32)
+    action = draw.integers(2, size=(2, 6)).astype(np.int32)
+    return Transition(obs[:, :-1], action, reward, obs[:, 1:], ends, ends, mask)
+
+
+def both(*trees):
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 
 def test_networks_begin_anew():
-    """Of 3 gradient steps an update the third of these comes after 6; what is replayed, with its
-    priorities, and how much is explored stay.
+    """Once they have made 6 gradient steps, before the next; what is replayed, with its priorities,
+    and how much is explored stay. Runs that are vmapped do so each in its time.
     """
-    plain, due, not_yet = make(), make(reset_every=6), make(reset_every=7)
-    start = plain.init(jax.random.key(0), HPARAMS)
-    second, third = (updated(plain, start, numbers) for numbers in ([0, 1], [0, 1, 2]))
-    assert third.steps == 9
-    assert_same(updated(due, start, [0, 1]), second)
-    assert_same(updated(not_yet, start, [0, 1, 2]), third)
-    new = plain.init(jax.random.split(jax.random.key(12), 3)[2], HPARAMS)
-    begun = second.replace(**{name: getattr(new, name) for name in BEGUN})
-    expected = updated(plain, begun, [2])
-    assert_same(updated(due, start, [0, 1, 2]), expected)
-    assert expected.steps == 3 and expected.real.size == third.real.size == 36
-    again = updated(due, expected, [0, 1])
-    assert again.steps == 3  # 6 after the first of them
+    (init, plain), (_, resets) = brief(), brief(reset_every=6)
+    first = plain(init(jax.random.key(0), HPARAMS), walk(0), jax.random.key(1), HPARAMS)[0]
+    before, due = (first.replace(steps=jnp.int32(steps)) for steps in (5, 6))
 
+    def after(update, state):
+        return update(state, walk(1), jax.random.key(2), HPARAMS)[0]
 
-def test_runs_vmapped_together_begin_anew_each_in_its_time():
-    agent = dqn((SIZE, SIZE, 3), 5, replace(SMALL, optimizer=optax.sgd, reset_every=6))
-    start = jax.jit(agent.init)(jax.random.key(0), HPARAMS)
-    states = [start.replace(steps=jnp.int32(steps)) for steps in (5, 6)]
-    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
-    update = jax.jit(jax.vmap(agent.update, (0, None, None, None)))
-    together = update(both, play(0), jax.random.key(1), HPARAMS)[0]
-    assert together.steps.tolist() == [8, 3]
-    for number, state in enumerate(states):
-        alone = jax.jit(agent.update)(state, play(0), jax.random.key(1), HPARAMS)[0]
-        mine = jax.tree.map(lambda leaf, n=number: leaf[n], together.params)
-        assert_close(mine, alone.params, 1e-4)
+    going_on = after(resets, before)
+    assert_close(going_on, after(plain, before), 1e-6)
+    new = init(jax.random.split(jax.random.key(2), 3)[2], HPARAMS)
+    begun = due.replace(**{name: getattr(new, name) for name in BEGUN})
+    anew = after(resets, due)
+    assert_close(anew, after(plain, begun), 1e-6)
+    assert (going_on.steps, anew.steps, anew.real.size) == (8, 3, 24)
+    assert np.abs(anew.params - new.params).max() < np.abs(first.params - new.params).max()
+    vmapped = brief(True, reset_every=6)[1]
+    together, _ = vmapped(both(before, due), both(walk(1), walk(1)), jax.random.key(2), HPARAMS)
+    assert_close(together, both(going_on, anew), 1e-4)
 
 
 def test_updates_for_each_step():
-    """12 steps make a quarter as many gradient steps, beside the one after each update."""
-    agent = make(updates=1, updates_per_step=0.25)
-    start = agent.init(jax.random.key(0), HPARAMS)
-    after, metrics = agent.update(start, play(0), jax.random.key(1), HPARAMS)
-    said, known = make(updates=4).update(start, play(0), jax.random.key(1), HPARAMS)
-    assert after.steps == 4
-    assert_close((after.params, metrics), (said.params, known), 1e-4)
-    halved = play(0)._replace(mask=play(0).mask.at[1].set(False))
-    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), play(0), halved)
-    together = jax.jit(jax.vmap(agent.update, (None, 0, None, None)))
-    assert together(start, both, jax.random.key(1), HPARAMS)[0].steps.tolist() == [4, 3]
-    dreamed = agent.update_fake(start, play(1), jax.random.key(2), HPARAMS)[0]
-    assert dreamed.steps == 2
+    """12 steps make a quarter as many gradient steps, beside the one after each update; 9 make 2.25
+    of them, rounded.
+    """
+    ratio = {"updates": 1, "updates_per_step": 0.25}
+    (init, by_ratio), (_, four) = brief(**ratio), brief(updates=4)
+    start = init(jax.random.key(0), HPARAMS)
+    after = by_ratio(start, walk(0), jax.random.key(1), HPARAMS)
+    assert after[0].steps == 4
+    assert_close(after, four(start, walk(0), jax.random.key(1), HPARAMS), 1e-6)
+    shorter = by_ratio(start, walk(0, 3), jax.random.key(1), HPARAMS)
+    assert shorter[0].steps == 3
+    episodes = both(walk(0), walk(0, 3))
+    together = brief(True, **ratio)[1](both(start, start), episodes, jax.random.key(1), HPARAMS)
+    assert_close(together, both(after, shorter), 1e-4)
 
 
 @pytest.mark.parametrize(

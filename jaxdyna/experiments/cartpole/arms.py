@@ -81,14 +81,11 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
 
 
 def learner(options: CartPoleOptions) -> tuple[Dyna, DynaConfig, DynaHParams]:
-    """What the arm ``dqn`` is made of, with room for all real steps of a run at the most."""
-    dyna, count = options.dyna, CartPole().num_actions
-    most = dyna.num_episodes * dyna.num_steps
-    config = replace(
-        options.dqn, network=networks.PerceptronQ(count, options.dqn_hidden),
-        capacity=max(min(options.dqn.capacity, most), dyna.num_steps), episodes=dyna.num_episodes,
-    )  # fmt: skip
-    return _learner(config), dyna, replace(options.hparams, agent=options.dqn_hparams)
+    """What the arm ``dqn`` is made of."""
+    alone = replace(options.dyna, dream_updates=0)
+    network = networks.PerceptronQ(CartPole().num_actions, options.dqn_hidden)
+    config = replace(study.sized(options.dqn, alone, "dqn"), network=network)
+    return _learner(config), alone, replace(options.hparams, agent=options.dqn_hparams)
 
 
 @cache

@@ -29,7 +29,7 @@ class CartPoleOptions(Options):
         "dyna.num_episodes": "--episodes", "dyna.num_steps": "--env-version",
         "hparams.env.max_steps": "--env-version",
         "mcts.considered": EVERY_ACTION, "mcts.gumbel_scale": EVERY_ACTION,
-        "dqn.network": "--dqn-hidden", "dqn.episodes": "--episodes",
+        "dqn.network": "--dqn-hidden",
         **{f"dqn.fake_{name}": NO_DREAMS for name in ("updates", "capacity", "episodes")},
         **{f"dqn_hparams.{name}": NO_DREAMS for name in ("epsilon_fake", "fake_share")},
     }  # fmt: skip
