@@ -148,7 +148,7 @@ BAD = {
     **configs(
         DQNConfig, batch=(2.5, 0), updates=(math.inf, -1), n_step=(0, 10**6), target_period=(0,),
         capacity=(0,), episodes=(0,), drift=(-1, math.nan), double=(1,), optimizer=("adam", 0.1),
-        network=(GlimpseQ,),
+        network=(GlimpseQ,), updates_per_step=(-1, math.nan), reset_every=(-1, 1.5),
     ),
     **configs(ReinforceConfig, hidden=((0,), 8, (8.5,)), advantage=("mean", None)),
     **configs(ReinforceConfig, output_variance=(0,), epochs=(0,)),

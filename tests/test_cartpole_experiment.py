@@ -172,7 +172,7 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
         (["--episodes", "50"], "(N) is 100 but there are only 50 episodes: lower N or raise"),
         (["--arms", "nonsense"], "nonsense"),
         (["--preset", "nonsense"], "there are tuned, lean"),
-        (["--part", "nonsense"], "there are cartpole, readings, levers, accuracy, data"),
+        (["--part", "nonsense"], "readings, levers, accuracy, data, baselines"),
         (["--seeds", "many"], "many"),
         (["--bogus", "1"], "--bogus"),
         (["--out", "/dev/null/here"], "choose another folder"),

@@ -12,7 +12,7 @@ from parts import assert_close, assert_same, returns_of
 
 from jaxdyna import rollout
 from jaxdyna.agents import DQNConfig, DQNHParams, dqn, exploration, q_values
-from jaxdyna.agents.dqn import _descend, _mixed
+from jaxdyna.agents.dqn import BEGUN, _descend, _mixed
 from jaxdyna.envs import Catch, FrameStack, Maze, MazeParams
 from jaxdyna.losses import td_error
 from jaxdyna.networks import GlimpseQ, PerceptronQ, PlainQ
@@ -372,6 +372,82 @@ def test_target_network():
         *map(jax.tree.leaves, (slow.target, slow.params, before.params)), strict=True
     ):
         np.testing.assert_allclose(target, 0.005 * new + 0.995 * old, atol=1e-6)
+
+
+class Drawn(Linear):
+    """That begins at random."""
+
+    def init(self, key, x):
+        return jax.random.normal(key, (2, 2))
+
+
+BRIEF = DQNConfig(
+    network=Drawn(), updates=3, batch=8, capacity=40, episodes=9, fake_capacity=8,
+    fake_episodes=4, optimizer=optax.sgd,
+)  # fmt: skip
+
+
+@cache
+def brief(together=False, **changes):
+    """A learner's init and update, of several runs' episodes where it is ``together``."""
+    agent = dqn((2,), 2, replace(BRIEF, **changes))
+    update = jax.vmap(agent.update, (0, 0, None, None)) if together else agent.update
+    return agent.init, jax.jit(update)
+
+
+def walk(seed, steps=6):
+    """Two episodes of a random walk, the second of so many steps."""
+    draw = np.random.default_rng(seed)
+    obs = draw.normal(size=(2, 7, 2)).cumsum(1).astype(np.float32)
+    mask = np.arange(6) < np.array([[6], [steps]])
+    ends, reward = np.zeros((2, 6), bool), draw.normal(size=(2, 6)).astype(np.float32)
+    action = draw.integers(2, size=(2, 6)).astype(np.int32)
+    return Transition(obs[:, :-1], action, reward, obs[:, 1:], ends, ends, mask)
+
+
+def both(*trees):
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+
+
+def test_networks_begin_anew():
+    """Once they have made 6 gradient steps, before the next; what is replayed, with its priorities,
+    and how much is explored stay. Runs that are vmapped do so each in its time.
+    """
+    (init, plain), (_, resets) = brief(), brief(reset_every=6)
+    first = plain(init(jax.random.key(0), HPARAMS), walk(0), jax.random.key(1), HPARAMS)[0]
+    before, due = (first.replace(steps=jnp.int32(steps)) for steps in (5, 6))
+
+    def after(update, state):
+        return update(state, walk(1), jax.random.key(2), HPARAMS)[0]
+
+    going_on = after(resets, before)
+    assert_close(going_on, after(plain, before), 1e-6)
+    new = init(jax.random.split(jax.random.key(2), 3)[2], HPARAMS)
+    begun = due.replace(**{name: getattr(new, name) for name in BEGUN})
+    anew = after(resets, due)
+    assert_close(anew, after(plain, begun), 1e-6)
+    assert (going_on.steps, anew.steps, anew.real.size) == (8, 3, 24)
+    assert np.abs(anew.params - new.params).max() < np.abs(first.params - new.params).max()
+    vmapped = brief(True, reset_every=6)[1]
+    together, _ = vmapped(both(before, due), both(walk(1), walk(1)), jax.random.key(2), HPARAMS)
+    assert_close(together, both(going_on, anew), 1e-4)
+
+
+def test_updates_for_each_step():
+    """12 steps make a quarter as many gradient steps, beside the one after each update; 9 make 2.25
+    of them, rounded.
+    """
+    ratio = {"updates": 1, "updates_per_step": 0.25}
+    (init, by_ratio), (_, four) = brief(**ratio), brief(updates=4)
+    start = init(jax.random.key(0), HPARAMS)
+    after = by_ratio(start, walk(0), jax.random.key(1), HPARAMS)
+    assert after[0].steps == 4
+    assert_close(after, four(start, walk(0), jax.random.key(1), HPARAMS), 1e-6)
+    shorter = by_ratio(start, walk(0, 3), jax.random.key(1), HPARAMS)
+    assert shorter[0].steps == 3
+    episodes = both(walk(0), walk(0, 3))
+    together = brief(True, **ratio)[1](both(start, start), episodes, jax.random.key(1), HPARAMS)
+    assert_close(together, both(after, shorter), 1e-4)
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ class DQNState:
         params: the online network's.
         target: the target network's.
         opt_state: the optimiser's.
-        steps: int32, gradient steps so far.
+        steps: int32, gradient steps since the networks began.
         exploration: how much it explores, and in which direction.
         real: real transitions.
         fake: dreamed ones.
@@ -54,7 +54,8 @@ class DQNState:
     fake: Prioritized
 
 
-LEARNED = ("params", "target", "opt_state", "steps", "real", "fake")
+BEGUN = ("params", "target", "opt_state", "steps")
+LEARNED = (*BEGUN, "real", "fake")
 
 
 def dqn(
@@ -87,9 +88,9 @@ def dqn(
     values, kind = partial(q_values, network), jnp.uint8 if pictures else jnp.float32
     obs_shape = (*frame_shape[:-1], frame_shape[-1] * num_frames)
     _check_network(network, jnp.zeros((1, *obs_shape)), num_actions)
+    begun = partial(_begun, network, config, obs_shape)
 
     def init(key: Key, hparams: DQNHParams) -> DQNState:
-        params = network.init(key, jnp.zeros((1, *obs_shape)))
         obs, number, flag = jnp.zeros(obs_shape, kind), jnp.float32(0), jnp.bool_(False)
         example = Transition(obs, jnp.int32(0), number, obs, flag, flag, flag, number)
 
@@ -97,10 +98,7 @@ def dqn(
             return prioritized.init(frame_replay.init(capacity, episodes, example, num_frames))
 
         return DQNState(
-            params=params,
-            target=params,
-            opt_state=config.optimizer(hparams.learning_rate).init(params),
-            steps=jnp.int32(0),
+            **begun(key, hparams),
             exploration=exploration.init(num_actions),
             real=empty(config.capacity, config.episodes),
             fake=empty(config.fake_capacity, config.fake_episodes),
@@ -128,26 +126,20 @@ def dqn(
         share = exploration.epsilon_fake(state.exploration, hparams)
         return explore(state, obs, key, share, jnp.zeros(num_actions))
 
-    def learn(state: DQNState, key: Key, hparams: DQNHParams, updates: int):
-        """Gradient steps, and a new direction for the next exploring episode."""
-        key_drift, key_steps = jax.random.split(key)
-
-        def step(carry: tuple[dict, Key], _: None):
-            learned, key = carry
-            key, key_now = jax.random.split(key)
-            now = replace(state, **learned)
-            learned, loss = _descend(values, config, now, key_now, hparams)
-            return (learned, key), loss
-
-        start = {name: getattr(state, name) for name in LEARNED}
-        (learned, _), losses = jax.lax.scan(step, (start, key_steps), length=updates)
+    def learn(state: DQNState, key: Key, hparams: DQNHParams, updates: int, more: Any = None):
+        """Gradient steps, ``more`` of them (an int scalar) that only the run knows, and a new
+        direction for the next exploring episode.
+        """
+        key_drift, key_steps, key_begin = jax.random.split(key, 3)
+        if config.reset_every:
+            state = _begin_anew(state, partial(begun, key_begin, hparams), config.reset_every)
+        learned, loss = _descend_often(values, config, state, key_steps, hparams, updates, more)
         drift = config.drift * jax.random.normal(key_drift, (num_actions,))
         explored = replace(state.exploration, drift=drift)
-        loss = losses.mean() if updates else jnp.float32(0)
         return replace(state, exploration=explored, **learned), {"loss": loss}
 
     def update(state: DQNState, transitions: Transition, key: Key, hparams: DQNHParams):
-        """Stores the episodes, then `DQNConfig.updates` gradient steps."""
+        """Stores the episodes, then the gradient steps that `DQNConfig` says."""
         check_transitions(transitions, 2)
 
         def work():
@@ -157,7 +149,8 @@ def dqn(
             )
             new = replace(state, real=real, exploration=explored)
             weighs = (transitions.weights > 0).any()
-            return _where(weighs, lambda: learn(new, key, hparams, config.updates), new)
+            more = _by_ratio(config.updates_per_step, transitions)
+            return _where(weighs, lambda: learn(new, key, hparams, config.updates, more), new)
 
         return _where(transitions.mask.any(), work, state)
 
@@ -197,6 +190,54 @@ def q_values(network: Any, params: Any, obs: jax.Array) -> jax.Array:
     """The values ``[N, A]`` of observations ``[N, *obs]`` by which an agent of `dqn` acts."""
     seen = obs.astype(jnp.float32) / 255 if obs.dtype == jnp.uint8 else obs
     return jnp.asarray(network.apply(params, seen))
+
+
+def _begun(
+    network: Any, config: DQNConfig, obs_shape: tuple[int, ...], key: Key, hparams: DQNHParams
+) -> dict[str, Any]:
+    """What there is of `BEGUN` before the first gradient step."""
+    params = network.init(key, jnp.zeros((1, *obs_shape)))
+    opt_state = config.optimizer(hparams.learning_rate).init(params)
+    return dict(zip(BEGUN, (params, params, opt_state, jnp.int32(0)), strict=True))
+
+
+def _by_ratio(ratio: float, real: Transition) -> jax.Array | None:
+    """Gradient steps that so many real steps call for, an int scalar; None where none do."""
+    return jnp.round(ratio * real.mask.sum()).astype(jnp.int32) if ratio else None
+
+
+def _begin_anew(state: DQNState, begun: Callable[[], dict], every: int) -> DQNState:
+    """With networks and optimiser as at the start, once they have made so many gradient steps."""
+    due = state.steps >= every
+    held = {name: getattr(state, name) for name in BEGUN}
+    new = jax.lax.cond(_anywhere(due), lambda: as_held(begun(), held), lambda: held)
+    return replace(state, **where(due, new, held))
+
+
+def _descend_often(
+    values: Values, config: DQNConfig, state: DQNState, key: Key, hparams: DQNHParams,
+    updates: int, more: jax.Array | None,
+) -> tuple[dict[str, Any], jax.Array]:  # fmt: skip
+    """So many gradient steps; returns what of the state they change, and the mean loss."""
+
+    def step(carry: tuple[dict, Key], _: None):
+        learned, key = carry
+        key, key_now = jax.random.split(key)
+        learned, loss = _descend(values, config, replace(state, **learned), key_now, hparams)
+        return (learned, key), loss
+
+    def counted(_: jax.Array, carry: tuple):
+        carry, total = carry
+        carry, loss = step(carry, None)
+        return carry, (total + loss).astype(total.dtype)
+
+    start = {name: getattr(state, name) for name in LEARNED}, key
+    if more is None:
+        (learned, _), losses = jax.lax.scan(step, start, length=updates)
+        return learned, losses.mean() if updates else jnp.float32(0)
+    count = updates + more
+    (learned, _), total = jax.lax.fori_loop(0, count, counted, (start, jnp.float32(0)))
+    return learned, total / jnp.maximum(count, 1)
 
 
 def _descend(

@@ -68,6 +68,16 @@ class DQNConfig:
         200, "Gradient steps of the agent after each real episode.", at_least=0, everyday=True
     )
     fake_updates: int = setting(200, "Likewise after a batch of dreams.", at_least=0, everyday=True)
+    updates_per_step: float = setting(
+        0.0, "Gradient steps of the agent for each step of a real episode, rounded, beside the "
+        "updates after it: a ratio that holds where episodes differ in length.", at_least=0,
+        at_most=1000,
+    )  # fmt: skip
+    reset_every: int = setting(
+        0, "Gradient steps after which both networks and the optimiser begin anew, before the next "
+        "ones; what is replayed stays (Nikishin et al. 2022; D'Oro et al. 2023). 0 never.",
+        at_least=0,
+    )  # fmt: skip
     batch: int = setting(
         32, "Transitions in a gradient step of the agent.", at_least=1, at_most=1_000_000,
         everyday=True,

@@ -2,6 +2,6 @@
 
 from jaxdyna.experiments.cartpole.acting import CARTPOLE
 from jaxdyna.experiments.cartpole.data import DATA
-from jaxdyna.experiments.cartpole.studies import ACCURACY, LEVERS, READINGS
+from jaxdyna.experiments.cartpole.studies import ACCURACY, BASELINES, DYNA_GRID, LEVERS, READINGS
 
-PARTS = (CARTPOLE, READINGS, LEVERS, ACCURACY, DATA)
+PARTS = (CARTPOLE, READINGS, LEVERS, ACCURACY, DATA, BASELINES, DYNA_GRID)

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna import agents, models, planners
-from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState, survived
+from jaxdyna import agents, models, networks, planners
+from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, DynaState, survived
 from jaxdyna.envs import CartPole, CartPoleParams
 from jaxdyna.experiments.cartpole import model
 from jaxdyna.experiments.cartpole.options import CartPoleOptions, rule
@@ -28,6 +28,8 @@ IMITATES = (
 SAID = study.SAID | {
     "placebo": "the same dreams from a model that is never trained; they last to the horizon, "
     "where it would end each at once.",
+    "dqn": "a deep Q-network on the four numbers, model-free: unlike REINFORCE it learns from old "
+    "real steps again and again.",
     "mpc": "after the first N episodes random shooting in the model acts; no dreams.",
     "mcts": "likewise MuZero's tree search, random episodes in the model for the value of a leaf.",
     "mpc_init": f"{IMITATES} goes on model-free, with as many policy updates an episode as `dyna`: "
@@ -78,6 +80,7 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
     shooting, resting = planners.random_shooting, with_agent(dyna, update_expert=learn_nothing)
     at_leaves = random_episodes(dream.env, options.mcts.discount, options.mcts_rollout)
     return made | {
+        "dqn": lambda: study.dyna_arm(*learner(options), hooks),
         "mpc": lambda: dreamless(acting(resting, shooting, options.mpc, without_guide)),
         "mcts": lambda: dreamless(acting(resting, planners.muzero, options.mcts, at_leaves)),
         "mpc_init": lambda: dreamless(alone()),
@@ -90,6 +93,20 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
             hooks,
         ),
     }
+
+
+def learner(options: CartPoleOptions) -> tuple[Dyna, DynaConfig, DynaHParams]:
+    """What the arm ``dqn`` is made of."""
+    alone = replace(options.dyna, dream_updates=0)
+    network = networks.PerceptronQ(CartPole().num_actions, options.dqn_hidden)
+    config = replace(study.sized(options.dqn, alone, "dqn"), network=network)
+    return _learner(config), alone, replace(options.hparams, agent=options.dqn_hparams)
+
+
+@cache
+def _learner(config: agents.DQNConfig) -> Dyna:
+    env = CartPole()
+    return Dyna(env, agents.dqn((4,), env.num_actions, config), memory=None)
 
 
 def parts(options: CartPoleOptions) -> Dyna:

@@ -5,7 +5,7 @@ from typing import ClassVar, Literal, Self
 
 import optax
 
-from jaxdyna.agents import CloningConfig, ReinforceConfig, ReinforceHParams
+from jaxdyna.agents import CloningConfig, DQNConfig, DQNHParams, ReinforceConfig, ReinforceHParams
 from jaxdyna.agents.reinforce import per_step, within_episode
 from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs import CartPoleParams
@@ -17,6 +17,7 @@ from jaxdyna.statistics import SolveRule
 
 STEPS = {"v0": 200, "v1": 500}
 EVERY_ACTION = "MuZero's search, which looks at every action"
+NO_DREAMS = "the arm dqn, which never dreams"
 RULES = {"v0": SolveRule(100, 195.0), "v1": SolveRule(100, 475.0)}
 
 
@@ -28,6 +29,9 @@ class CartPoleOptions(Options):
         "dyna.num_episodes": "--episodes", "dyna.num_steps": "--env-version",
         "hparams.env.max_steps": "--env-version",
         "mcts.considered": EVERY_ACTION, "mcts.gumbel_scale": EVERY_ACTION,
+        "dqn.network": "--dqn-hidden",
+        **{f"dqn.fake_{name}": NO_DREAMS for name in ("updates", "capacity", "episodes")},
+        **{f"dqn_hparams.{name}": NO_DREAMS for name in ("epsilon_fake", "fake_share")},
     }  # fmt: skip
 
     env_version: Literal["v0", "v1"] = setting(
@@ -78,6 +82,16 @@ class CartPoleOptions(Options):
     cloning: CloningConfig = setting(factory=CloningConfig)
     hparams: DynaHParams = setting(factory=lambda: DynaHParams(
         ReinforceHParams(), SupervisedHParams(), CartPoleParams(), DreamHParams(0.1),
+    ))  # fmt: skip
+    dqn_hidden: tuple[int, ...] = setting(
+        (64, 64), "widths of the hidden layers of the arm dqn", at_least=1
+    )
+    dqn: DQNConfig = setting(factory=lambda: DQNConfig(
+        updates=0, updates_per_step=1.0, batch=64, drift=0.0, capacity=50_000, fake_capacity=1,
+        fake_episodes=1,
+    ))  # fmt: skip
+    dqn_hparams: DQNHParams = setting(factory=lambda: DQNHParams(
+        discount=0.99, epsilon_episodes=50.0,
     ))  # fmt: skip
 
     def resolved(self) -> Self:

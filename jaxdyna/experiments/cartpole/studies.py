@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 from jaxdyna.agents.reinforce import over_batch, within_episode
@@ -13,6 +14,7 @@ from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.rows import rows
 from jaxdyna.experiments.report.summaries import first_dreams
 from jaxdyna.experiments.study.accuracy import Measure, accuracy, describe
+from jaxdyna.experiments.study.grids import baselines, grid
 
 Rows = dict[str, dict[str, Any]]
 OF = replace(CARTPOLE, arms=partial(arms, judged=False), describe=(first_dreams,))
@@ -92,6 +94,17 @@ WORSE: Rows = {
     **{f"{SHORT} {steps} steps": {"dyna.dream_steps": steps} for steps in (100, 50, 25)},
     **CONTROLS,
 }  # fmt: skip
+ALONE = baselines(
+    "dqn", "dqn_hparams", ratios=(0.5, 1, 2, 4), rates=(3e-4, 1e-3), between=5000,
+    said=lambda ratio: {"dqn.updates_per_step": float(ratio)},
+)  # fmt: skip
+DREAMING: Rows = {
+    f"updates {updates}, dreams {dreams}, rate {rate:g}": {
+        "dyna.dream_updates": updates, "dyna.dream_episodes": dreams,
+        "hparams.agent.learning_rate": rate,
+    }
+    for updates, dreams, rate in product((1, 2, 4, 8), (8, 16), (0.005, 0.01, 0.02, 0.04))
+}  # fmt: skip
 MEASURE = Measure(
     curve="model_error", episodes=100, hollow=SHORT,
     axis="squared error over the mean square of a step's change (logarithmic)",
@@ -125,3 +138,9 @@ ACCURACY = Study(
     describe=(describe(MEASURE),),
     sections=(rows(), accuracy(MEASURE), report.settings, report.spent),
 )  # fmt: skip
+BASELINES = grid(
+    "baselines", "The strongest agent without a model on CartPole", OF, "dqn", lambda options: ALONE
+)
+DYNA_GRID = grid(
+    "dyna_grid", "Dyna on CartPole, with as many settings", OF, "dyna", lambda options: DREAMING
+)

@@ -3,6 +3,6 @@
 from jaxdyna.experiments.maze.acting import MAZE
 from jaxdyna.experiments.maze.frames import FRAMES
 from jaxdyna.experiments.maze.ladder import LADDER
-from jaxdyna.experiments.maze.levers import LEVERS
+from jaxdyna.experiments.maze.levers import BASELINES, DYNA_GRID, LEVERS
 
-PARTS = (MAZE, FRAMES, LEVERS, LADDER)
+PARTS = (MAZE, FRAMES, LEVERS, LADDER, BASELINES, DYNA_GRID)

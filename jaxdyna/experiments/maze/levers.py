@@ -1,5 +1,6 @@
 """The ``lean`` preset, one thing changed at a time: what it needs, what a worse model costs, and
-whether sample efficiency grows with the model's accuracy (§5).
+whether sample efficiency grows with the model's accuracy (§5). And the grids in which ``tuned`` and
+its baseline are tuned.
 """
 
 from dataclasses import replace
@@ -13,7 +14,9 @@ from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.rows import rows
 from jaxdyna.experiments.report.summaries import first_dreams
 from jaxdyna.experiments.study.accuracy import Measure, accuracy, describe
+from jaxdyna.experiments.study.grids import baselines, dreams, grid
 
+OF = replace(MAZE, arms=partial(arms, judged=False), describe=())
 OTHER = "agent: "
 COLUMN = "first_solved"
 MEASURE = Measure(
@@ -73,7 +76,7 @@ def levers(options: MazeOptions) -> dict[str, Overrides]:
 LEVERS = Study(
     name="levers",
     title="What does lean need in the Maze, and how good must its model be?",
-    of=replace(MAZE, arms=partial(arms, judged=False), describe=()),
+    of=OF,
     preset="lean",
     rows=levers,
     common={
@@ -82,4 +85,15 @@ LEVERS = Study(
     },
     describe=(first_dreams, describe(MEASURE)),
     sections=(rows(COLUMN), accuracy(MEASURE, COLUMN), report.settings, report.spent),
+)  # fmt: skip
+BASELINES = grid(
+    "baselines", "The strongest agent without a model in the Maze", OF, "model_free",
+    lambda options: baselines(
+        "agent", "hparams.agent", ratios=(0.25, 1, 2.25, 5), rates=(3e-4, 1e-3), between=20_000,
+        said=lambda ratio: {"agent.updates": round(ratio * options.steps)},
+    ),
+)  # fmt: skip
+DYNA_GRID = grid(
+    "dyna_grid", "Dyna in the Maze, with as many settings", OF, "dyna",
+    lambda options: dreams((100, 200, 400, 800), (0.5, 0.75), (3e-4, 1e-3), kept=160),
 )  # fmt: skip

@@ -1,6 +1,8 @@
-"""The report of a study: every row beside the first, in one of the arms' figures of solving."""
+"""The report of a study: every row beside the first, or from best to worst, in one of the arms'
+figures of solving.
+"""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from jaxdyna.experiments.report import plots, tables
@@ -39,6 +41,73 @@ def rows(record: Any, column: str = "episodes_to_solve") -> str:
         ),
         "![every run of every row](variants.png)" if there else "",
     )
+
+
+@told
+def ranking(
+    record: Any, grid: Callable[[Any], Mapping[str, Any]], column: str = "episodes_to_solve"
+) -> str:
+    """The rows of a grid, by their restricted means, and whether the best stands at an edge of it;
+    ``grid``: from options to all its rows, those that were not played too.
+    """
+    results, options = record.results, record.options
+    if not results["arms"]:
+        return ""
+    order = sorted(
+        results["arms"], key=lambda name: results["arms"][name][column]["restricted_mean"]
+    )
+    arms = {name: results["arms"][name] for name in order}
+    (_, *header), lines = tables.solve_table(results | {"arms": arms}, column)
+    solved = {name: per_seed(arm[column]) for name, arm in arms.items()}
+    there = plots.solve_bars(record.out / "variants.png", solved, limit(arms, column),
+                             column.replace("_", " "))  # fmt: skip
+    names = tuple(grid(options))
+    seconds = sum(one.get("run_s", 0.0) for one in results["timing"]["arms"].values())
+    return paragraphs(
+        f"{tables.runs(len(results['runs']['seeds']))} of each of {len(arms)} rows, of a grid of "
+        f"{len(names)}, on base seed {options.seed}. {arms[order[0]]['solve_rule'].capitalize()}. "
+        f"At most {options.episodes} episodes; an unsolved run counts as so many. The rows are in "
+        "the order of their restricted means. The best of many looks better than it is: these "
+        "seeds choose a setting, others say what it is worth.",
+        _winner(arms[order[0]][column], order[0], names),
+        tables.markdown_table(["row", *header], lines),
+        "![every run of every row](variants.png)" if there else "",
+        f"All rows together took {seconds / 3600:.2f} hours of {results['device']['cpu_cores']} "
+        "cores.",
+    )
+
+
+def _winner(figure: Results, name: str, names: Sequence[str]) -> str:
+    if not figure["solved"]:
+        return "No run of any row has solved: there is no winner."
+    edges = ", ".join(edge_of_grid(names, name))
+    widen = f" It stands at the edge of the grid ({edges}): widen it there, or it is no winner."
+    return f"**{name}** has the lowest.{widen if edges else ''}"
+
+
+def edge_of_grid(names: Sequence[str], winner: str, last: Sequence[str] = ("1-step",)) -> list[str]:
+    """In what a winner stands at an end of what was tried.
+
+    Args:
+        names: of all rows, such as ``"ratio 1, resets, rate 0.001, 3-step"``: what is varied in
+            the same order, and the values of each as they rise or fall.
+        winner: one of them.
+        last: beyond which there is nothing to try.
+
+    Returns:
+        Those of the winner's values that have a number and come first or last in their place.
+    """
+    places = zip(*(name.split(", ") for name in names), strict=True)
+    tried = [list(dict.fromkeys(place)) for place in places]
+    mine = winner.partition("@")[0].split(", ")
+    return [
+        value
+        for value, values in zip(mine, tried, strict=True)
+        if value in (values[0], values[-1])
+        and any(letter.isdigit() for letter in value)
+        and len(values) > 1
+        and value not in last
+    ]
 
 
 def limit(arms: Mapping[str, Results], column: str) -> int:

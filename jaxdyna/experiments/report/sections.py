@@ -203,7 +203,7 @@ def _begun(arm: str) -> str:
     """What begins in an arm after the first N real episodes."""
     if arm.startswith(("mpc", "mcts")):
         return "planners begin"
-    alone = ("model_free", "max_updates", "more_updates", "random_search")
+    alone = ("model_free", "max_updates", "more_updates", "random_search", "dqn")
     return "" if arm.startswith(alone) else "dreams begin"
 
 

@@ -128,15 +128,16 @@ def busy(config: Any, dyna: DynaConfig) -> Any:
     return replace(config, updates=config.updates + dyna.dream_updates * config.fake_updates)
 
 
-def sized(config: Any, dyna: DynaConfig) -> Any:
-    """A DQN's config with room for what a run can add to its replays and no more.
+def sized(config: Any, dyna: DynaConfig, path: str = "agent") -> Any:
+    """A DQN's config, the option of that path, with room for what a run can add to its replays and
+    no more.
 
     Raises:
         SettingError: where that is more than can be counted.
     """
     if config.n_step > dyna.num_steps:
         said = f"is {config.n_step}: an episode has {dyna.num_steps} steps at the most"
-        raise SettingError("agent.n_step", said)
+        raise SettingError(f"{path}.n_step", said)
     steps = dyna.dream_steps or dyna.num_steps
     dreams = dyna.dream_updates * dyna.dream_episodes
     fake = max(config.fake_capacity, dreams * steps)
