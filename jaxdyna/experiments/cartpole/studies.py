@@ -9,7 +9,9 @@ from typing import Any
 from jaxdyna.agents.reinforce import over_batch, within_episode
 from jaxdyna.experiments.cartpole.acting import CARTPOLE
 from jaxdyna.experiments.cartpole.arms import arms
+from jaxdyna.experiments.cartpole.options import rule
 from jaxdyna.experiments.engine import Study
+from jaxdyna.experiments.report import frozen
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.rows import rows
 from jaxdyna.experiments.report.summaries import first_dreams
@@ -120,21 +122,23 @@ READINGS = Study(
     name="readings",
     title="Which reading of the paper gives its effect on CartPole?",
     of=OF, preset="tuned", rows=lambda options: READ,
-    common={"episodes": 600, "stop_after_solved": 0},
+    common={"episodes": 600, "stop_after_solved": 0, "dyna.eval_every": 0},
     sections=(rows(), report.settings, report.spent),
 )  # fmt: skip
 LEVERS = Study(
     name="levers",
     title="What makes the lean preset lean on CartPole?",
-    of=OF, preset="lean", rows=lambda options: LEVER,
-    common={"seeds": 20, "stop_after_solved": 0},
-    sections=(rows("first_solved"), report.settings, report.spent),
+    of=replace(OF, describe=(first_dreams, frozen.describe(rule))),
+    preset="lean", rows=lambda options: LEVER, common={"seeds": 20, "episodes": 30},
+    sections=(rows("frozen.real_steps_to_solve"), report.settings, report.spent),
 )  # fmt: skip
 ACCURACY = Study(
     name="accuracy",
     title="Does sample efficiency grow with the model's accuracy?",
     of=OF, preset="tuned", rows=lambda options: WORSE,
-    common={"episodes": 500, "stop_after_solved": 0, "judged_on": "common"},
+    common={
+        "episodes": 500, "stop_after_solved": 0, "judged_on": "common", "dyna.eval_every": 0,
+    },
     describe=(describe(MEASURE),),
     sections=(rows(), accuracy(MEASURE), report.settings, report.spent),
 )  # fmt: skip

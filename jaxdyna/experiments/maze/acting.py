@@ -13,7 +13,7 @@ from jaxdyna.envs import Maze, MazeParams, MazeState
 from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.maze.arms import SAID, STARTS, arms
 from jaxdyna.experiments.maze.options import LEAN, PAPER, QUICK, TUNED, MazeOptions
-from jaxdyna.experiments.report import frames
+from jaxdyna.experiments.report import frames, frozen
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.tables import markdown_table, median, with_interval
 from jaxdyna.statistics import (
@@ -208,7 +208,7 @@ MAZE = Experiment(
     quick=QUICK,
     arms=arms,
     rule=lambda options: RULE,
-    describe=(describe,),
+    describe=(describe, frozen.describe(lambda options: RULE)),
     sections=(
         report.solving(
             lambda options: RULE, EPISODES, RATIO, "The optimal return is the most that could "
@@ -222,6 +222,7 @@ MAZE = Experiment(
         "episodes: a curve may be above the line before a run has solved.",
         report.area,
         report.thresholds(lambda options: RULE),
+        frozen.frozen(lambda options: RULE),
         report.endings(lambda options: RULE),
         lambda record: "## What is learned, when",
         report.behaviour(

@@ -88,6 +88,7 @@ class MazeOptions(Options):
     dyna: DynaConfig = setting(factory=lambda: DynaConfig(
         num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
         model_updates=50, model_batch=32, rare_share=0.25, dream_episodes=400, dream_steps=5,
+        eval_every=10, eval_episodes=20,
     ))  # fmt: skip
     agent: DQNConfig = setting(factory=lambda: DQNConfig(
         updates=50, fake_updates=400, fake_capacity=64_000, explore_until_rewarded=True,

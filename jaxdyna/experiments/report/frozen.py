@@ -21,7 +21,7 @@ POINTS = 200
 
 def threshold(curves: Curves, rule: SolveRule) -> float:
     """The return that is asked for: the rule's, or its share of the mean of what could be had."""
-    return rule.threshold * (np.nanmean(curves[rule.share_of]) if rule.share_of else 1)
+    return rule.threshold * (float(np.nanmean(curves[rule.share_of])) if rule.share_of else 1)
 
 
 def worth(curves: Curves, at: np.ndarray) -> np.ndarray:
@@ -47,9 +47,8 @@ def _evaluated(curves: Curves) -> tuple[np.ndarray, np.ndarray]:
     seen = np.isfinite(curves["frozen_return"])
     steps = np.where(seen, np.nan_to_num(curves["real_length"]).cumsum(1), np.inf)
     order = np.argsort(steps, axis=1, kind="stable")[:, : max(int(seen.sum(1).max()), 1)]
-    return tuple(
-        np.take_along_axis(values, order, 1) for values in (steps, curves["frozen_return"])
-    )
+    returns = np.take_along_axis(curves["frozen_return"], order, axis=1)
+    return np.take_along_axis(steps, order, axis=1), returns
 
 
 def describe(rule: Rule) -> Callable[[Any, Curves], Results]:

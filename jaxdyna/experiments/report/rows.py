@@ -8,32 +8,33 @@ from typing import Any
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.sections import paragraphs, told
 from jaxdyna.experiments.report.summaries import FIRST_DREAMS, restricted
-from jaxdyna.experiments.report.tables import Results, per_seed, whole
+from jaxdyna.experiments.report.tables import Results, figure_at, per_seed, whole
 from jaxdyna.statistics import ratio_of_means
 
 
 @told
 def rows(record: Any, column: str = "episodes_to_solve") -> str:
-    """A line and a strip of dots for each row, in ``episodes_to_solve`` or ``first_solved``."""
+    """A line and a strip of dots for each row, in one of the figures of solving, by its path."""
     results, options = record.results, record.options
     if not results["arms"]:
         return ""
     (_, *header), lines = tables.solve_table(results, column)
     first, *_ = arms = list(results["arms"].values())
+    figures = {name: figure_at(arm, column) for name, arm in results["arms"].items()}
     for line, arm in zip(lines, arms, strict=True):
         dreams = arm.get("first_dreams")
         line += [
-            "-" if arm is first else _ratio(arm[column], first[column]),
+            "-" if arm is first else _ratio(figure_at(arm, column), figure_at(first, column)),
             f"{whole(dreams['fake_return'])} / {whole(dreams['real_return'])}" if dreams else "-",
         ]
-    solved = {name: per_seed(arm[column]) for name, arm in results["arms"].items()}
+    solved = {name: per_seed(figure) for name, figure in figures.items()}
     there = plots.solve_bars(record.out / "variants.png", solved, limit(results["arms"], column),
-                             column.replace("_", " "))  # fmt: skip
+                             tables.spoken(column))  # fmt: skip
     return paragraphs(
         f"{tables.runs(len(results['runs']['seeds']))} of each row. The first row is the "
         f"`{options.preset}` preset; every other one changes what it says. "
-        f"{first['solve_rule'].capitalize()}. At most {options.episodes} episodes; an unsolved run "
-        "counts as so many. The seeds are the same in "
+        f"{_counted(first, column)} At most {options.episodes} episodes; an unsolved run counts as "
+        "what it played. The seeds are the same in "
         f"every row, so that the ratio to «{lines[0][0]}» is paired. "
         f"Fake and real return: medians over the first {FIRST_DREAMS} episodes with dreams.",
         tables.markdown_table(
@@ -110,9 +111,18 @@ def edge_of_grid(names: Sequence[str], winner: str, last: Sequence[str] = ("1-st
     ]
 
 
+def _counted(arm: Results, column: str) -> str:
+    if not column.startswith("frozen"):
+        return f"{arm['solve_rule'].capitalize()}."
+    return (
+        "Counted are the real steps after which a run's policy, as it stands between two episodes, "
+        f"first earns {arm['frozen']['threshold']:.4g} on average in new ones."
+    )
+
+
 def limit(arms: Mapping[str, Results], column: str) -> int:
-    """What an unsolved run counts as."""
-    return int(max(arm[column]["budget"] for arm in arms.values()))
+    """What an unsolved run counts as, at the most."""
+    return int(max(figure_at(arm, column)["budget"] for arm in arms.values()))
 
 
 def _ratio(solve: Results, first: Results) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxdyna import statistics
 from jaxdyna.dyna.loop import DIVERGED
-from jaxdyna.experiments.report.tables import Results, interval, per_seed
+from jaxdyna.experiments.report.tables import Results, figure_at, interval, per_seed
 from jaxdyna.statistics import SolveRule, last_mean, mean_of_runs, summarise
 
 Curves = Mapping[str, np.ndarray]
@@ -93,14 +93,6 @@ def compare(arms: Results, baseline: str, figure: str = "episodes_to_solve") -> 
 def baseline_of(arm: Results, baseline: str) -> str:
     """The full name of the baseline in an arm's setting."""
     return f"{baseline}@{arm['setting']}" if arm.get("setting") else baseline
-
-
-def figure_at(arm: Results, path: str) -> Results | None:
-    """A figure of an arm's entry, by its dotted path; None where it has none."""
-    found: Any = arm
-    for name in path.split("."):
-        found = found.get(name) if isinstance(found, dict) else None
-    return found
 
 
 def restricted(figure: Results) -> np.ndarray:

@@ -57,6 +57,13 @@ def per_seed(summary: Summary, unsolved: float = np.inf) -> np.ndarray:
     return np.array([unsolved if one is None else one for one in summary["per_seed"]], float)
 
 
+def figure_at(arm: Results, path: str) -> Results:
+    """A figure of an arm's entry, by its dotted path; empty where it has none."""
+    for name in path.split("."):
+        arm = arm.get(name, {})
+    return arm
+
+
 def label(name: str) -> str:
     """An entry's name with the last word of what was swept: ``dyna@learning_rate=0.01``; whole
     where two of these would be called the same.
@@ -67,14 +74,19 @@ def label(name: str) -> str:
 
 
 def solve_table(results: Results, figure: str = "episodes_to_solve") -> Table:
-    """A row an arm: ``episodes_to_solve`` or ``first_solved``."""
-    said, budget = figure.replace("_", " "), results["config"]["episodes"]
+    """A row an arm, in one of the figures of solving, by its dotted path."""
+    said, budget = spoken(figure), results["config"]["episodes"]
     header = ["arm", f"solved in {budget:,}", f"{said}: mean (95% interval)", "median (95%)"]
     return header, [
-        [name, f"{arm[figure]['solved']}/{arm[figure]['seeds']}", with_interval(arm[figure]),
-         median(arm[figure])]
-        for name, arm in results["arms"].items()
+        [name, f"{found['solved']}/{found['seeds']}", with_interval(found), median(found)]
+        for name, arm in results["arms"].items() if (found := figure_at(arm, figure))
     ]  # fmt: skip
+
+
+def spoken(figure: str) -> str:
+    """A figure of solving, by its dotted path, in words."""
+    kind, _, name = figure.rpartition(".")
+    return f"{name} ({kind})".replace("_", " ") if kind else name.replace("_", " ")
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -73,6 +73,6 @@ def grid(
     """
     return Study(
         name=name, title=title, of=of, preset="tuned", rows=rows, arm=arm,
-        common={"stop_after_solved": 0},
+        common={"stop_after_solved": 0, "dyna.eval_every": 0},
         sections=(ranking(rows), report.settings, report.spent),
     )  # fmt: skip
