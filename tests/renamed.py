@@ -78,6 +78,16 @@ DECIDED = {
 """Recorded settings that were not those in use, mean another thing or were cut, by module and
 pattern of the path, and why."""
 
+REMADE = {
+    "cartpole lean": (
+        "dyna.model_updates",
+        "dyna.dream_updates",
+        "model.ensemble",
+        "hparams.agent.learning_rate",
+    )
+}
+"""Settings that a preset sets otherwise since its records were made, by module and preset."""
+
 ARRAYS: dict[str, str | None] = {
     "oracle_return": "optimal_return",
     "judged_error": None,  # in results.json, out of the curve that it is a mean of
@@ -120,9 +130,10 @@ def respelled(command: Sequence[str]) -> list[str] | None:
 def respelled_settings(command: Sequence[str], config: Mapping[str, Any]) -> dict[str, Any]:
     """A record's settings by their dotted paths of today, without those that were not in use."""
     start = respelled(command) or [""]
-    settings = {}
+    settings, remade = {}, REMADE.get(f"{start[0]} {config.get('preset')}", ())
     for path, value in _flat(config):
-        if path not in NOT_SETTINGS and not is_one(f"{start[0]} {path}", DECIDED):
+        skipped = path in NOT_SETTINGS or _setting(start, path) in remade
+        if not skipped and not is_one(f"{start[0]} {path}", DECIDED):
             listed = isinstance(value, list)
             items = [_value(start[0], path, item) for item in (value if listed else [value])]
             settings[_setting(start, path)] = items if listed else items[0]

@@ -91,7 +91,7 @@ class DQNConfig:
     )
     loss: Callable[[Any], Any] = setting(
         optax.huber_loss, "Loss of a TD error: Huber's is linear beyond 1 (Mnih et al. 2015).",
-        choices={"huber": optax.huber_loss, "squared": optax.l2_loss},
+        choices=(optax.huber_loss, optax.l2_loss),
     )  # fmt: skip
     target_period: int = setting(
         1,

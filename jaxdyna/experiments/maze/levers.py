@@ -81,7 +81,8 @@ LEVERS = Study(
     rows=levers,
     common={
         "seeds": 4, "episodes": 100, "stop_after_solved": 0, "judged_on": "common",
-        "size": 8, "obstacles": 3, "steps": 60, "dyna.eval_every": 0,  # carries them all in two hours
+        "size": 8, "obstacles": 3, "steps": 60,  # carries them all in two hours
+        "dyna.eval_every": 0,
     },
     describe=(first_dreams, describe(MEASURE)),
     sections=(rows(COLUMN), accuracy(MEASURE, COLUMN), report.settings, report.spent),

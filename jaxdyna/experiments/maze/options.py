@@ -122,11 +122,12 @@ class MazeOptions(Options):
     def resolved(self) -> Self:
         """Episodes are so many steps; planners discount as the agent does."""
         steps, discount = self.steps, self.hparams.agent.discount
+        updates = self.agent.fake_updates * self.dyna.dream_updates
         return changed(self, {
             "dyna.num_episodes": self.episodes, "dyna.num_steps": steps,
             "dyna.dream_steps": min(self.dyna.dream_steps or steps, steps),
             "hparams.env.max_steps": steps, "cloning.capacity": self.shown_episodes * steps,
-            "cloning.updates": max(self.agent.fake_updates * self.dyna.dream_updates, 1),
+            "cloning.updates": min(max(updates, 1), LARGEST),
             "mpc.discount": discount, "mcts.discount": discount,
         })  # fmt: skip
 
