@@ -84,6 +84,7 @@ REMADE = {
         "dyna.dream_updates",
         "model.ensemble",
         "hparams.agent.learning_rate",
+        "episodes",  # of the levers
     )
 }
 """Settings that a preset sets otherwise since its records were made, by module and preset."""

@@ -1,5 +1,6 @@
 """The sections that most reports share: pure functions of a record, each with its figures."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import wraps
@@ -44,6 +45,8 @@ WRONG = {
 }
 """Curves of how wrong a model is one step ahead: `jaxdyna.models.evaluation.frame_errors`."""
 NOT_SHOWN = ("preset", "quick", "arms")
+ARMS_OWN = ("dqn", "mpc", "mcts")
+"""Arms, or what these begin with, that have settings of their own: told where they are played."""
 
 
 def told(section: Callable[Concatenate[Any, P], str]) -> Callable[P, Section]:
@@ -359,10 +362,12 @@ def arms_said(record: Any, said: Mapping[str, str]) -> str:
 
 def settings(record: Any) -> str:
     """Everyday settings, and whatever is not as declared."""
+    unplayed = {own for own in ARMS_OWN if not any(arm.startswith(own) for arm in grouped(record))}
     rows = [
         [f"`{leaf.path}`", _said(record.results["sweep"].get(leaf.path, leaf.value)), leaf.help]
         for leaf in fields.leaves(record.options)
         if leaf.path not in (*NOT_SHOWN, *record.options.decided)
+        and re.split(r"[._]", leaf.path)[0] not in unplayed
         and (leaf.everyday or leaf.default not in (fields.MISSING, leaf.value))
     ]
     return paragraphs("## Settings", markdown_table(["setting", "value", "what it is"], rows))
