@@ -84,7 +84,8 @@ REMADE = {
         "dyna.dream_updates",
         "model.ensemble",
         "hparams.agent.learning_rate",
-        "episodes",  # of the levers
+        "episodes",  # of the levers, and:
+        "stop_after_solved",
     )
 }
 """Settings that a preset sets otherwise since its records were made, by module and preset."""
