@@ -16,7 +16,7 @@ from renamed import respelled
 
 from jaxdyna.experiments.cartpole import PARTS
 from jaxdyna.experiments.cartpole.arms import arms
-from jaxdyna.experiments.cartpole.options import LEAN
+from jaxdyna.experiments.cartpole.options import LEAN, TUNED
 from jaxdyna.experiments.engine import Engine, main, session, storage
 from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.storage import read_curves
@@ -112,7 +112,19 @@ def test_the_placebo_learns_from_as_many_dreams():
     small = changed(LEAN, {
         "episodes": 5, "dyna.model_updates": 2, "dyna.dream_updates": 4, "dyna.dream_episodes": 2,
     }).resolved()  # fmt: skip
-    arm = arms(small)["placebo"]()
+    state, metrics = last_state(arms(small)["placebo"]())
+    assert (metrics["real_length"] < 200).all()
+    # Three episodes before the first dream (real updates), then 4 dreams after each from the third.
+    assert policy_updates(state) == 3 + 3 * 4
+
+
+def test_max_updates_makes_as_many_on_every_real_episode():
+    small = changed(TUNED, {"episodes": 5, "dyna.dream_updates": 4, "dyna.num_real_first": 2})
+    assert policy_updates(last_state(arms(small.resolved())["max_updates"]())[0]) == 5 * (1 + 4)
+
+
+def last_state(arm):
+    """An arm's only run, whole: its state in the end and its metrics."""
 
     def whole(key, hparams):
         def step(state, episode):
@@ -121,11 +133,13 @@ def test_the_placebo_learns_from_as_many_dreams():
         return jax.lax.scan(step, arm.work.init(key, hparams), jnp.arange(arm.units))
 
     hparams = jax.tree.map(lambda value: jnp.asarray(value)[None], arm.hparams)
-    state, metrics = jax.jit(over_runs(whole, 1))(jax.random.split(jax.random.key(0), 1), hparams)
-    assert (metrics["real_length"] < 200).all()
-    updates = [leaf for leaf in jax.tree.leaves(state.agent) if leaf.dtype == np.int32]
-    # Three episodes before the first dream (real updates), then 4 dreams after each from the third.
-    assert [int(count[0]) for count in updates] == [3 + 3 * 4]
+    return jax.jit(over_runs(whole, 1))(jax.random.split(jax.random.key(0), 1), hparams)
+
+
+def policy_updates(state):
+    """By Adam's own count, the only whole number in REINFORCE's state."""
+    (count,) = [leaf for leaf in jax.tree.leaves(state.agent) if leaf.dtype == np.int32]
+    return int(count[0])
 
 
 @pytest.mark.slow  # as test_damage of an experiment of seconds

@@ -9,7 +9,6 @@ from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.report import frozen
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import first_dreams
-from jaxdyna.experiments.study.arms import ABSENT
 
 
 def papers(record: Any) -> tuple[dict[str, float], dict[str, float]]:
@@ -35,6 +34,6 @@ CARTPOLE = Experiment(
         report.learning_curves(rule, "fig6.png", "Fig. 6: return against real episodes"),
         report.area, report.thresholds(rule),
         frozen.frozen(rule), report.endings(rule), report.distribution, model.section,
-        report.arms_said(SAID), lambda record: ABSENT, report.settings, report.spent,
+        report.arms_said(SAID), report.settings, report.spent,
     ),
 )  # fmt: skip

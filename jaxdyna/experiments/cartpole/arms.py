@@ -28,6 +28,8 @@ IMITATES = (
 SAID = study.SAID | {
     "placebo": "the same dreams from a model that is never trained; they last to the horizon, "
     "where it would end each at once.",
+    "max_updates": "as many updates after each real episode as `dyna` makes in all, all of them on "
+    "that episode: from the second on they are clipped as PPO's are.",
     "dqn": "a deep Q-network on the four numbers, model-free: unlike REINFORCE it learns from old "
     "real steps again and again.",
     "mpc": "after the first N episodes random shooting in the model acts; no dreams.",
@@ -73,13 +75,16 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
         imitating = dyna._replace(agent=imitator(agent, options.cloning))
         return acting(imitating, shooting, options.mpc, without_guide, options.shown_episodes)
 
+    busy = replace(options.agent, epochs=options.agent.epochs + config.dream_updates)
+
     def alone() -> Dyna:
-        busy = shown(replace(options.agent, epochs=options.agent.epochs + config.dream_updates))
-        return with_agent(busy, update=unless_safe(busy)) if dyna.safe else busy
+        busier = shown(busy)
+        return with_agent(busier, update=unless_safe(busier)) if dyna.safe else busier
 
     shooting, resting = planners.random_shooting, with_agent(dyna, update_expert=learn_nothing)
     at_leaves = random_episodes(dream.env, options.mcts.discount, options.mcts_rollout)
     return made | {
+        "max_updates": lambda: study.dyna_arm(_reinforced(busy), config, hparams, hooks),
         "dqn": lambda: study.dyna_arm(*learner(options), hooks),
         "mpc": lambda: dreamless(acting(resting, shooting, options.mpc, without_guide)),
         "mcts": lambda: dreamless(acting(resting, planners.muzero, options.mcts, at_leaves)),
@@ -101,6 +106,12 @@ def learner(options: CartPoleOptions) -> tuple[Dyna, DynaConfig, DynaHParams]:
     network = networks.PerceptronQ(CartPole().num_actions, options.dqn_hidden)
     config = replace(study.sized(options.dqn, alone, "dqn"), network=network)
     return _learner(config), alone, replace(options.hparams, agent=options.dqn_hparams)
+
+
+@cache
+def _reinforced(agent: agents.ReinforceConfig) -> Dyna:
+    env = CartPole()
+    return Dyna(env, agents.reinforce((4,), env.num_actions, agent), memory=None)
 
 
 @cache

@@ -27,10 +27,6 @@ SAID = {
     "max_updates": "`dyna`'s late rate of updates from the first episode on, on real steps alone.",
 }
 """What the standard arms are."""
-ABSENT = (
-    "`more_updates` and `max_updates` are absent: REINFORCE learns from an episode once, on the "
-    "policy that played it, so that there are no further updates on old real steps."
-)
 
 
 class Hooks(NamedTuple):
