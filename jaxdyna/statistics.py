@@ -137,20 +137,21 @@ def summarise(
         ``per_seed``, ``mean`` and ``median`` (None where unsolved seeds leave them unknown);
         ``median_ci95`` (exact, by ranks); ``solved``, ``seeds`` and ``solved_ci95`` of the share
         (exact, Clopper and Pearson); ``ci95`` of the mean, `studentised_interval`. With
-        ``at_least`` also ``budget``, the largest, and of min(T, B) ``restricted_mean`` and
-        ``restricted_ci95``, else None.
+        ``at_least`` also ``budget``, the largest, and of min(T, B) ``restricted_mean``,
+        ``restricted_ci95`` and ``restricted_per_seed``, else None.
     """
     per_seed = np.asarray(per_seed, np.float64)
     if per_seed.ndim != 1 or not per_seed.size:
         raise ValueError(f"per_seed is {list(per_seed.shape)}: give [seeds], a number a run")
     solved = np.isfinite(per_seed) if solved is None else solved
-    budget = restricted = restricted_ci95 = None
+    budget = restricted = restricted_ci95 = stopped = None
     most = np.inf
     if at_least is not None:
         budget = most = float(np.max(at_least))
         values = np.where(np.isfinite(per_seed), per_seed, at_least)
         restricted = float(values.mean())
         restricted_ci95 = studentised_interval(values, positive, most)
+        stopped = [_plain(value) for value in values]
     share = binomtest(int(np.sum(solved)), len(per_seed)).proportion_ci(method="exact")
     return {
         "per_seed": [_plain(value) for value in per_seed],
@@ -164,6 +165,7 @@ def summarise(
         "budget": budget,
         "restricted_mean": restricted,
         "restricted_ci95": restricted_ci95,
+        "restricted_per_seed": stopped,
     }
 
 

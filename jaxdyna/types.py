@@ -152,7 +152,6 @@ class Agent(NamedTuple):
             ``[N, T]``, real or fake alike, weighed by ``transitions.weight``. Where all weigh
             nothing, nothing is learned; where all are masked out, the state comes back as it was.
         act_fake: as ``act`` but in dreams, where exploring costs nothing; None: as ``act``.
-        act_greedy: as ``act`` without exploring, as it is evaluated; None: as ``act``.
         update_fake: as ``update`` from fake episodes, for a learner that keeps the two apart;
             None: as ``update``.
         update_expert: as ``update`` from real episodes that another acted in
@@ -160,17 +159,18 @@ class Agent(NamedTuple):
         num_actions: how many actions it chooses from, so that it is not put into a world of others;
             None: not said.
         hparams: the class of its hparams, or a tuple of those it takes; None: not said.
+        act_greedy: as ``act`` without exploring, as it is evaluated; None: as ``act``.
     """
 
     init: Callable[[Key, Any], Any]
     act: Act
     update: Update
     act_fake: Act | None = None
-    act_greedy: Act | None = None
     update_fake: Update | None = None
     update_expert: Update | None = None
     num_actions: int | None = None
     hparams: Any = None
+    act_greedy: Act | None = None
 
 
 class Memory(NamedTuple):

@@ -11,7 +11,7 @@ from parts import AGENT, DYNA, ENV, MODEL_FREE, ORACLE, SMALL, assert_close, ass
 
 from jaxdyna import sweep
 from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
-from jaxdyna.dyna import DynaConfig, make_advance, make_init, make_train, survived
+from jaxdyna.dyna import DynaConfig, Expert, make_advance, make_init, make_train, survived
 from jaxdyna.replay import memory
 from jaxdyna.sweep import AXES
 from jaxdyna.types import Transition
@@ -235,6 +235,14 @@ def test_an_evaluation_is_of_the_greedy_policy():
         for one in (agent, worse)
     ]
     assert returns[0] == 20 > returns[1] + 5
+
+
+@pytest.mark.parametrize("episodes", [None, 2])
+def test_whose_acting_an_expert_does_for_good_has_no_policy_to_evaluate(episodes):
+    expert = Expert(lambda state, obs, key, hparams: jnp.int32(0), episodes)
+    dyna = MODEL_FREE._replace(expert=expert)
+    _, metrics = train(dyna, replace(SMALL, eval_every=1, eval_episodes=2))
+    assert ("frozen_return" in metrics) == (episodes is not None)
 
 
 def test_a_greedy_action_is_the_likeliest():

@@ -5,12 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from jaxdyna.experiments.cartpole.options import TUNED
 from jaxdyna.experiments.engine.experiment import Experiment
 from jaxdyna.experiments.engine.record import write_report
 from jaxdyna.experiments.report import frozen, plots
 from jaxdyna.experiments.report import sections as report
-from jaxdyna.experiments.report.summaries import break_even, describe_arm
-from jaxdyna.statistics import SolveRule
+from jaxdyna.experiments.report.summaries import break_even, describe_arm, restricted
+from jaxdyna.statistics import SolveRule, summarise
 
 RULE = SolveRule(2, 1.0)
 RATE = "hparams.agent.learning_rate"
@@ -184,3 +185,18 @@ def test_what_a_real_step_has_to_cost_by_hand(tmp_path):
     assert break_even(results, "model_free", "dyna") is None  # it saves nothing
     assert break_even(results | {"timing": {"arms": {"dyna": {"run_s": 1.0}}}}) is None
     assert "longer than **8,000 ms**: a run of dyna computes for 8 s more" in report._price(results)
+
+
+def test_unsolved_runs_count_each_with_its_own():
+    figure = summarise(np.array([3.0, np.inf, 5, np.inf]), at_least=np.array([9.0, 7, 9, 11]))
+    np.testing.assert_array_equal(restricted(figure), [3, 7, 5, 11])
+    earlier = {name: value for name, value in figure.items() if name != "restricted_per_seed"}
+    np.testing.assert_array_equal(restricted(earlier), [3, 9, 5, 9])
+
+
+@pytest.mark.parametrize("part", ["cartpole", "baselines"])
+def test_settings_of_arms_that_were_not_played_are_left_out(part, tmp_path):
+    made = record(tmp_path, [[0, 1]] * 2, experiment="cartpole", part=part)
+    text = report.settings(SimpleNamespace(options=TUNED, results=made.results))
+    assert ("`dqn_hparams.learning_rate`" in text) == (part == "baselines")
+    assert "`hparams.agent.learning_rate`" in text

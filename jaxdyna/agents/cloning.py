@@ -194,9 +194,9 @@ def _lifted(agent: Agent, init: Callable, update_expert: Callable, install: Call
         lift_act(agent.act),
         lift_update(agent.update),
         agent.act_fake and lift_act(agent.act_fake),
-        agent.act_greedy and lift_act(agent.act_greedy),
         agent.update_fake and lift_update(agent.update_fake),
         update_expert,
         agent.num_actions,
         agent.hparams,
+        agent.act_greedy and lift_act(agent.act_greedy),
     )

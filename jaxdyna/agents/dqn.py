@@ -165,8 +165,8 @@ def dqn(
         return _where((transitions.weights > 0).any(), work, state)
 
     return Agent(
-        init, act, update, act_fake, act_greedy, update_fake,
-        num_actions=num_actions, hparams=DQNHParams,
+        init, act, update, act_fake, update_fake,
+        num_actions=num_actions, hparams=DQNHParams, act_greedy=act_greedy,
     )  # fmt: skip
 
 

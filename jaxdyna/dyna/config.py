@@ -37,7 +37,7 @@ class DynaConfig:
     )  # fmt: skip
     eval_every: int = setting(
         0, "Real episodes between evaluations of the policy as it then is, greedy, in new episodes "
-        "that nothing is learned of; 0 never.", at_least=0,
+        "that nothing is learned of; 0 never, nor where an expert acts for good.", at_least=0,
     )  # fmt: skip
     eval_episodes: int = setting(100, "Episodes of an evaluation.", at_least=1)
     replay_capacity: int | None = setting(

@@ -127,7 +127,7 @@ def make_step(
             agent, dreamed = where_needed(dreaming, awake, axes, dream, state.agent)
             state = replace(state, agent=agent)
             metrics |= dreamed
-        if config.eval_every > 0:
+        if config.eval_every > 0 and (dyna.expert is None or dyna.expert.episodes is not None):
             due = (episode + 1) % config.eval_every == 0
             judge = partial(evaluate, dyna, config, state.agent, key_evaluate, hparams)
             metrics |= where_needed(due, True, axes, lambda: (None, judge()), None)[1]

@@ -81,10 +81,14 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
         busier = shown(busy)
         return with_agent(busier, update=unless_safe(busier)) if dyna.safe else busier
 
+    def busiest() -> Dyna:
+        reinforced = _reinforced(busy)._replace(safe=dyna.safe)
+        return with_agent(reinforced, update=unless_safe(reinforced)) if dyna.safe else reinforced
+
     shooting, resting = planners.random_shooting, with_agent(dyna, update_expert=learn_nothing)
     at_leaves = random_episodes(dream.env, options.mcts.discount, options.mcts_rollout)
     return made | {
-        "max_updates": lambda: study.dyna_arm(_reinforced(busy), config, hparams, hooks),
+        "max_updates": lambda: study.dyna_arm(busiest(), config, hparams, hooks),
         "dqn": lambda: study.dyna_arm(*learner(options), hooks),
         "mpc": lambda: dreamless(acting(resting, shooting, options.mpc, without_guide)),
         "mcts": lambda: dreamless(acting(resting, planners.muzero, options.mcts, at_leaves)),

@@ -104,7 +104,10 @@ def describe(options: Any, curves: Curves) -> Results:
         return {}
     return {"model": {
         f"one_step_r2_{kind}": {
-            name: {"mean": float(one.mean()), "min": float(one.min()), "per_seed": one.tolist()}
+            name: {
+                "mean": float(one.mean()), "median": float(np.median(one)), "min": float(one.min()),
+                "per_seed": one.tolist(),
+            }
             for name, one in zip(STATES, curves[f"r2_{kind}"].T, strict=True)
         } for kind in ("state", "change")
     }}  # fmt: skip
@@ -125,10 +128,10 @@ def section(record: Any) -> str:
     if models:
         rows = [
             [name, state, *(number(model[f"one_step_r2_{kind}"][state][of], 4)
-                            for kind in ("state", "change") for of in ("mean", "min"))]
+                            for kind in ("state", "change") for of in ("median", "min"))]
             for name, model in models.items() for state in STATES
         ]  # fmt: skip
-        header = ["model of", "variable", "next state: mean", "worst run", "change: mean",
+        header = ["model of", "variable", "next state: median", "worst run", "change: median",
                   "worst run"]  # fmt: skip
         said += [
             "## The models",

@@ -139,7 +139,7 @@ LEAN = changed(TUNED, {
     "hparams.agent": DQNHParams(epsilon_hold=15.0, epsilon_episodes=5.0),
 })  # fmt: skip
 PAPER = changed(TUNED, {
-    "preset": "paper", "network": "plain", "convolutions": (8, 16, 16),
+    "preset": "paper", "episodes": 800, "network": "plain", "convolutions": (8, 16, 16),
     "dense": 128, "model": "paper", "coder_widths": (32, 32, 32), "coder_dense": 256,
     "coder_decay": 0.0, "model_reward": "classes", "reward_hidden": (128, 64),
     "reward_weights": (1.0, 0.1, 1.0), "dream_start": "observed",

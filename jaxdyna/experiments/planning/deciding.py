@@ -68,7 +68,7 @@ LEAST = {
 }  # fmt: skip
 BASE = changed(
     PlanningOptions(**{item.name: getattr(LEAN, item.name) for item in fields(LEAN)}),
-    {"seeds": 12, "episodes": 180, "stop_after_solved": 0},
+    {"seeds": 12, "episodes": 180, "stop_after_solved": 0, "dyna.eval_every": 0},
 )
 STUDY = Study(
     name="planning",

@@ -71,13 +71,18 @@ def describe(rule: Rule) -> Callable[[Any, Curves], Results]:
             "threshold": asked,
             "real_steps_to_solve": summarise(first, at_least=played),
             "snapshots": {
-                str(step): mean_of_runs(np.where(np.isfinite(column), column, np.nan))
-                | {"solved": int((column >= asked).sum())}
+                str(step): _worth(column) | {"solved": int((column >= asked).sum())}
                 for step, column in zip(at, worth(curves, at).T, strict=True)
             },
         }}  # fmt: skip
 
     return said
+
+
+def _worth(returns: np.ndarray) -> Results:
+    """Of policies after so many steps; no mean where some run had none yet."""
+    said = mean_of_runs(np.where(np.isfinite(returns), returns, np.nan))
+    return said if np.isfinite(returns).all() else said | {"mean": None, "ci95": None}
 
 
 @told

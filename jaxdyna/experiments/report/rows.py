@@ -82,7 +82,9 @@ def _winner(figure: Results, name: str, names: Sequence[str]) -> str:
     if not figure["solved"]:
         return "No run of any row has solved: there is no winner."
     edges = ", ".join(edge_of_grid(names, name))
-    widen = f" It stands at the edge of the grid ({edges}): widen it there, or it is no winner."
+    widen = (
+        f" It stands at the edge of the grid ({edges}): try what lies beyond, or it is no winner."
+    )
     return f"**{name}** has the lowest.{widen if edges else ''}"
 
 

@@ -362,7 +362,9 @@ def arms_said(record: Any, said: Mapping[str, str]) -> str:
 
 def settings(record: Any) -> str:
     """Everyday settings, and whatever is not as declared."""
-    unplayed = {own for own in ARMS_OWN if not any(arm.startswith(own) for arm in grouped(record))}
+    results = record.results
+    arms = grouped(record) if results.get("part") == results.get("experiment") else ARMS_OWN
+    unplayed = {own for own in ARMS_OWN if not any(arm.startswith(own) for arm in arms)}
     rows = [
         [f"`{leaf.path}`", _said(record.results["sweep"].get(leaf.path, leaf.value)), leaf.help]
         for leaf in fields.leaves(record.options)

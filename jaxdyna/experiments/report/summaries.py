@@ -96,7 +96,11 @@ def baseline_of(arm: Results, baseline: str) -> str:
 
 
 def restricted(figure: Results) -> np.ndarray:
-    """A figure of each run ``[seeds]``, of unsolved ones the mean of what they played."""
+    """A figure of each run ``[seeds]``, of unsolved ones what they played, in earlier records the
+    mean of that.
+    """
+    if figure.get("restricted_per_seed"):
+        return np.array(figure["restricted_per_seed"], float)
     values = per_seed(figure)
     unsolved = ~np.isfinite(values)
     rest = figure["restricted_mean"] * len(values) - values[~unsolved].sum()
@@ -146,7 +150,7 @@ def break_even(
     """
     spent, arms, device = (results.get(name, {}) for name in ("timing", "arms", "device"))
     seconds = [spent.get("arms", {}).get(name, {}).get("run_s") for name in (arm, baseline)]
-    if None in seconds or not {arm, baseline} <= arms.keys():
+    if None in seconds or spent.get("shards", 1) > 1 or not {arm, baseline} <= arms.keys():
         return None
     runs, block = len(results["runs"]["seeds"]), results["runs"]["block"]
     workers = device["cpu_cores"] if device["platform"] == "cpu" else device["count"]
