@@ -21,7 +21,7 @@ STATES = ("cart position", "cart velocity", "pole angle", "pole angular velocity
 OUTPUTS = ("position (m)", "velocity (m/s)", "angle (rad)", "ang. velocity", "reward", "p(end)")
 SHOWN = {
     "policy": "held-out episode of the trained policy",
-    "random": "held-out episode of a random policy, until it ends",
+    "random": "held-out episode of a random policy",
 }
 KINDS = ("truth", "one_step", "open_loop")
 HELD_OUT_EPISODES = 20
