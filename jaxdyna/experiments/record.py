@@ -266,10 +266,13 @@ def record(plans: Collection[Plan], call: Call, argv: Sequence[str]) -> int:
 
 
 def check_seed(plan: Plan, book: Path) -> None:
-    """Raises ValueError where a record is to confirm what its base seed was looked at for."""
+    """Raises ValueError where a record is to confirm what its base seed was looked at for; those
+    that build on it came after.
+    """
+    later = {other.name for other in read_plans(book).values() if plan.name in other.builds_on}
     primary = {said["record"] for said in _table(book, "primary")["comparisons"]}
     for said in _table(book, "seeds")["seeds"]:
-        seen = said["looked_at"] and said["by"] != plan.name
+        seen = said["looked_at"] and said["by"] not in later | {plan.name}
         if plan.name in primary and seen and said["seed"] == plan.session.options.seed:
             raise ValueError(
                 f"{plan.name} is a primary comparison's, and its base seed {said['seed']} was "
