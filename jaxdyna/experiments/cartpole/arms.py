@@ -77,22 +77,16 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
 
     busy = replace(options.agent, epochs=options.agent.epochs + config.dream_updates)
 
-    def alone() -> Dyna:
-        busier = shown(busy)
-        return with_agent(busier, update=unless_safe(busier)) if dyna.safe else busier
-
-    def busiest() -> Dyna:
-        reinforced = _reinforced(busy)._replace(safe=dyna.safe)
-        return with_agent(reinforced, update=unless_safe(reinforced)) if dyna.safe else reinforced
-
     shooting, resting = planners.random_shooting, with_agent(dyna, update_expert=learn_nothing)
     at_leaves = random_episodes(dream.env, options.mcts.discount, options.mcts_rollout)
     return made | {
-        "max_updates": lambda: study.dyna_arm(busiest(), config, hparams, hooks),
+        "max_updates": lambda: study.dyna_arm(
+            unless_safe(_reinforced(busy)._replace(safe=dyna.safe)), config, hparams, hooks
+        ),
         "dqn": lambda: study.dyna_arm(*learner(options), hooks),
         "mpc": lambda: dreamless(acting(resting, shooting, options.mpc, without_guide)),
         "mcts": lambda: dreamless(acting(resting, planners.muzero, options.mcts, at_leaves)),
-        "mpc_init": lambda: dreamless(alone()),
+        "mpc_init": lambda: dreamless(unless_safe(shown(busy))),
         "mpc_init_dyna": lambda: study.dyna_arm(shown(), config, late, hooks),
         "mpc_clone": lambda: dreamless(with_agent(shown(), update=learn_nothing)),
         "random_search": lambda: study.dyna_arm(
@@ -204,15 +198,17 @@ def with_agent(dyna: Dyna, **changes: Any) -> Dyna:
 
 
 @cache
-def unless_safe(dyna: Dyna) -> Any:
-    """The agent's update, which leaves it as it is after episodes that are `Dyna.safe`."""
+def unless_safe(dyna: Dyna) -> Dyna:
+    """Its agent is left as it is after episodes that are `Dyna.safe`, where any are."""
+    safe = dyna.safe
+    if safe is None:
+        return dyna
 
     def update(state: Any, transitions: Any, key: Any, hparams: Any) -> tuple[Any, Any]:
-        assert dyna.safe is not None
         new, metrics = dyna.agent.update(state, transitions, key, hparams)
-        return where(dyna.safe(transitions), state, new), metrics
+        return where(safe(transitions), state, new), metrics
 
-    return update
+    return with_agent(dyna, update=update)
 
 
 def learn_nothing(state: Any, transitions: Any, key: Any, hparams: Any) -> tuple[Any, Any]:

@@ -116,7 +116,8 @@ def greedy(hparams: Any) -> Any:
 
 def greedy_policy(dyna: Dyna, state: DynaState, hparams: DynaHParams) -> Callable[..., jax.Array]:
     """``(obs, key) -> action`` of a run's DQN without exploration."""
-    return lambda obs, key: dyna.agent.act(state.agent, obs, key, greedy(hparams.agent))
+    act = dyna.agent.act_greedy or dyna.agent.act
+    return lambda obs, key: act(state.agent, obs, key, hparams.agent)
 
 
 def busy(config: Any, dyna: DynaConfig) -> Any:
