@@ -87,7 +87,8 @@ def test_rest_when_safe():
     """After an episode that lasts to its horizon nothing is learned: in blocks, which skip the
     work, as alone, where it is discarded.
     """
-    config, resting = replace(SMALL, num_episodes=12, num_steps=12), DYNA._replace(safe=survived)
+    config = replace(SMALL, num_episodes=12, num_steps=12, dream_updates=8)
+    resting = DYNA._replace(safe=survived)
     params = hparams(env=ENV.default_params.replace(max_steps=12), real_weight=0.0)
     keys = jax.random.split(jax.random.key(0), 5)
     state, metrics = sweep(make_train(resting, config, AXES), keys, params, block=2)
@@ -101,6 +102,21 @@ def test_rest_when_safe():
         assert_close(
             jax.tree.map(lambda leaf, at=number: leaf[0, at], state.agent), alone.agent, 1e-4
         )
+
+
+@pytest.mark.parametrize(("safe", "updates", "rests"), [("both", 2, True), ("both", 1, False),
+                                                         ("real", 2, False), ("fake", 2, False)])  # fmt: skip
+def test_rests_where_real_episode_and_last_dreams_were_safe(safe, updates, rests):
+    """Two safe updates in a row are needed: with a single one a run never rests."""
+
+    def judged(episodes):  # a real episode comes alone
+        return jnp.bool_(safe in ("both", "real" if len(episodes.mask) == 1 else "fake"))
+
+    config = replace(SMALL, dream_updates=updates)
+    state, metrics = train(DYNA._replace(safe=judged), config)
+    idle = np.isnan(metrics["model_loss"])
+    assert state.dreams_safe == (safe != "real" and updates == 2)
+    np.testing.assert_array_equal(idle, [False] * 2 + [rests] * 4)  # N = 2 dreams first
 
 
 def test_rare_share_decides_what_the_model_sees():

@@ -25,6 +25,11 @@ from jaxdyna.types import Key, Transition, check_key
 DIVERGED = ("world", "agent", "model")
 """Whose numbers may stop being finite: the metric ``diverged`` counts them from 1, 0 is none."""
 
+SAFE_IN_A_ROW = 2
+"""Updates on dreams that must find all their fake episodes safe before dreaming stops: one may be
+luck (``docs/development-log.md``).
+"""
+
 
 def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], DynaState]:
     """A run before its first episode.
@@ -53,7 +58,7 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
         agent = dyna.agent.init(key_agent, hparams.agent)
         model = dyna.model and dyna.model.init(key_model, hparams.model)
         if dyna.memory is None or not _remembers(dyna, config):
-            return DynaState(agent, model, None, None, key)
+            return DynaState(agent, model, None, None, jnp.bool_(False), key)
         episode = jax.eval_shape(lambda: play_real(dyna, config, agent, key, hparams))
         example, recorded = jax.tree.map(
             lambda leaf: jax.ShapeDtypeStruct(leaf.shape[2:], leaf.dtype), episode
@@ -61,7 +66,7 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
         capacity = config.replay_capacity or config.num_episodes * config.num_steps
         held = dyna.memory.init(capacity, config.num_episodes, example, recorded)
         starts = ring.init(config.num_episodes, example.obs)
-        return DynaState(agent, model, held, starts, key)
+        return DynaState(agent, model, held, starts, jnp.bool_(False), key)
 
     return init
 
@@ -109,7 +114,7 @@ def make_step(
         state = replace(state, agent=agent)
         if dyna.watch is not None:
             metrics |= dyna.watch(real, recorded, hparams.env)
-        awake = True if dyna.safe is None else ~dyna.safe(real)
+        awake = _awake(dyna, state, real)
         if _remembers(dyna, config):
             state = _remember(dyna, state, real, recorded, episode)
         if dyna.model is not None:
@@ -124,8 +129,9 @@ def make_step(
             metrics |= judgement | training
         if dyna.dream is not None and config.dream_updates > 0:
             dream = partial(_dream, dyna, config, axes, state, episode, key_dream, hparams)
-            agent, dreamed = where_needed(dreaming, awake, axes, dream, state.agent)
-            state = replace(state, agent=agent)
+            before = (state.agent, state.dreams_safe)
+            (agent, safe), dreamed = where_needed(dreaming, awake, axes, dream, before)
+            state = replace(state, agent=agent, dreams_safe=safe)
             metrics |= dreamed
         if config.eval_every > 0 and (dyna.expert is None or dyna.expert.episodes is not None):
             due = (episode + 1) % config.eval_every == 0
@@ -135,6 +141,15 @@ def make_step(
         return state, metrics
 
     return step
+
+
+def _awake(dyna: Dyna, state: DynaState, real: Transition) -> jax.Array | bool:
+    """Whether there may be something to learn of dreams: not where both the real episode and the
+    last dreams were safe, since a policy that falls now and then often has a real one that is.
+    """
+    if dyna.safe is None:
+        return True
+    return ~(dyna.safe(real) & (state.dreams_safe if dyna.dream is not None else True))
 
 
 def _diverged(real: Transition, agent_loss: jax.Array, model: Any) -> jax.Array:
@@ -334,30 +349,32 @@ def play_dreams(
 
 
 def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metrics]:
-    """Policy updates on fake episodes; returns the agent's new state."""
+    """Policy updates on fake episodes; returns the agent's new state, and whether these were safe
+    in the end.
+    """
     env_params = dyna.dream.params(state, hparams)
     weight = jnp.where(episode + 1 >= hparams.num_real_first, hparams.fake_weight, 0.0)
 
     learn = dyna.agent.update_fake or dyna.agent.update
 
-    def update(agent, key_play, key_update):
+    def update(agent, row, key_play, key_update):
         fake = play_dreams(dyna, config, agent, env_params, key_play, hparams)
         weighted = fake._replace(weight=jnp.full(fake.mask.shape, weight))
         agent, _ = learn(agent, weighted, key_update, hparams.agent)
         safe = jnp.bool_(False) if dyna.safe is None else dyna.safe(fake)
-        return (agent, safe), _summary("fake", fake)
+        return (agent, jnp.where(safe, row + 1, 0)), _summary("fake", fake)
 
     def update_unless_safe(carry, _):
-        agent, safe, key = carry
+        agent, row, key = carry  # row: how many safe ones there were in a row
         key, key_play, key_update = jax.random.split(key, 3)
-        work = partial(update, agent, key_play, key_update)
-        needed = True if dyna.safe is None else ~safe
-        (agent, now_safe), metrics = where_needed(True, needed, axes, work, (agent, safe))
-        return (agent, now_safe, key), metrics
+        work = partial(update, agent, row, key_play, key_update)
+        needed = True if dyna.safe is None else row < SAFE_IN_A_ROW
+        (agent, row), metrics = where_needed(True, needed, axes, work, (agent, row))
+        return (agent, row, key), metrics
 
-    start = (state.agent, jnp.bool_(False), key)
-    (agent, _, _), metrics = jax.lax.scan(update_unless_safe, start, length=config.dream_updates)
-    return agent, jax.tree.map(mean_of_done, metrics)
+    start = (state.agent, jnp.int32(0), key)
+    (agent, row, _), metrics = jax.lax.scan(update_unless_safe, start, length=config.dream_updates)
+    return (agent, row >= SAFE_IN_A_ROW), jax.tree.map(mean_of_done, metrics)
 
 
 def _summary(name: str, transitions: Transition) -> Metrics:

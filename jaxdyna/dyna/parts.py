@@ -69,8 +69,9 @@ class Dyna(NamedTuple):
         expert: who acts in some of the real episodes instead of the agent; None: no one.
         record: see `jaxdyna.rollout.rollout`, of the real episodes.
         safe: ``episodes [N, T] -> bool``: whether they are as good as can be, such as `survived`.
-            After such a real episode neither model nor policy learns of dreams, and dreaming stops
-            after such fake ones: what works is left alone, and costs nothing. None: never.
+            Dreaming stops once all fake ones were so twice in a row; where the last dreaming ended
+            so, neither model nor policy learns of dreams after such a real episode: what works is
+            left alone, and costs nothing. None: never.
     """
 
     env: Environment
@@ -99,6 +100,7 @@ class DynaState:
         model: the model's state, None without one.
         replay: real transitions so far; None where they are not kept, or the agent keeps them.
         starts: first observations of the real episodes so far, None where these are not kept.
+        dreams_safe: whether the last dreaming ended because its fake episodes were safe.
         key: the random key of all that follows.
     """
 
@@ -106,6 +108,7 @@ class DynaState:
     model: Any
     replay: Any
     starts: Any
+    dreams_safe: jax.Array
     key: Key
 
 

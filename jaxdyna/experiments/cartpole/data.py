@@ -114,7 +114,9 @@ def _fit(setup: Setup, key: Key, data: Transition) -> Any:
     key_init, key_rows, key_update = jax.random.split(key, 3)
     model = dyna.model.init(key_init, hparams.model)
     held = ring.Replay(data, jnp.int32(len(data.mask)))
-    state = DynaState(agent=None, model=model, replay=held, starts=None, key=key)
+    state = DynaState(
+        agent=None, model=model, replay=held, starts=None, dreams_safe=jnp.bool_(False), key=key
+    )
     return train_model(dyna, config, state, key_rows, key_update, hparams)[0].params
 
 
