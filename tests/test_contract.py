@@ -16,11 +16,13 @@ from jaxdyna.agents import (
     CloningConfig,
     DQNConfig,
     DQNHParams,
+    LinearRegulatorHParams,
     LinearSearchHParams,
     ReinforceConfig,
     ReinforceHParams,
     cloning,
     dqn,
+    linear_regulator,
     linear_search,
     policy_logits,
     q_values,
@@ -177,6 +179,7 @@ AGENTS = {
     **{rule: lambda rule=rule: (RULES[rule], False) for rule in RULES},
     "clipped": lambda: (reinforce((4,), 2, ReinforceConfig(advantage=per_step, epochs=3)), False),
     "linear_search": lambda: (linear_search((4,), 2), False),
+    "linear_regulator": lambda: (linear_regulator((4,), 2), False),
     "dqn_vectors": lambda: (q_learner(False)[0], False),
     "dqn_frames": lambda: (q_learner(True)[0]._replace(act_fake=None, update_fake=None), True),
     "cloned_reinforce": lambda: (
@@ -202,6 +205,7 @@ def test_agent(name):
     agent, frames = AGENTS[name]()
     hparams = DQNHParams() if "dqn" in name else ReinforceHParams()
     hparams = LinearSearchHParams(1e3) if name == "linear_search" else hparams
+    hparams = LinearRegulatorHParams() if name == "linear_regulator" else hparams
     check_agent(agent, hparams, small_episodes(frames), 5 if frames else 2)
 
 

@@ -10,7 +10,7 @@ from parts import DYNA, MODEL, ORACLE, SMALL, hparams
 from test_contract import AGENTS, FRAME_MODELS, MODELS, PLANNERS, learned, q_learner, small_episodes
 
 from jaxdyna import rollout
-from jaxdyna.agents import DQNHParams, LinearSearchHParams, ReinforceHParams
+from jaxdyna.agents import DQNHParams, LinearRegulatorHParams, LinearSearchHParams, ReinforceHParams
 from jaxdyna.dyna import Expert, make_train
 from jaxdyna.envs import Catch, CatchParams
 from jaxdyna.losses import discounted_returns
@@ -45,6 +45,7 @@ def test_learners(name):
     )  # fmt: skip
     kind = DQNHParams if "dqn" in name else ReinforceHParams if name in AGENTS else None
     kind = partial(LinearSearchHParams, 9.0) if name == "linear_search" else kind
+    kind = LinearRegulatorHParams if name == "linear_regulator" else kind
     kind = kind or {"adversarial": AdversarialHParams, "local": PixelHParams}.get(name)
     settings, key = wide((kind or SupervisedHParams)()), jax.random.key(0)
     state, episodes = jax.eval_shape(part.init, key, settings), wide(small_episodes(frames))

@@ -35,6 +35,11 @@ class LinearPolicy:
     params: jax.Array
 
 
+def linear_action(params: jax.Array, obs: jax.Array) -> jax.Array:
+    """The action, int32, whose linear function ``[A, n]`` of the observation is the highest."""
+    return jnp.argmax(params @ obs.reshape(-1).astype(jnp.float32))
+
+
 def linear_search(obs_shape: tuple[int, ...], num_actions: int) -> Agent:
     """An `Agent` whose hparams are `LinearSearchHParams`: the action is that of the highest of
     ``[A]`` linear functions of the observation ``obs_shape``, whose weights are drawn from a normal
@@ -50,7 +55,7 @@ def linear_search(obs_shape: tuple[int, ...], num_actions: int) -> Agent:
 
     def act(state: LinearPolicy, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
         del key, hparams
-        return jnp.argmax(state.params @ obs.reshape(-1).astype(jnp.float32))
+        return linear_action(state.params, obs)
 
     def update(
         state: LinearPolicy, transitions: Transition, key: Key, hparams: LinearSearchHParams

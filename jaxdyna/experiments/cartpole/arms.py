@@ -1,5 +1,6 @@
 """The arms of CartPole: the standard ones, and planners on the learned model."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -41,6 +42,9 @@ SAID = study.SAID | {
     "mpc_clone": f"{IMITATES} stays as it is.",
     "random_search": "nothing is learned: the action is the higher of two random linear functions "
     "of the state, which are drawn anew after every real episode below the rule's threshold.",
+    "linear_model": "a linear model, fitted by least squares after every real episode, and the "
+    "policy that keeps the squared state small in it (a linear-quadratic regulator), told that a "
+    "small state is a good one; random actions in the first episode.",
 }
 TRUTH: dict[str, Any] = {
     "dream": Dream(CartPole(), lambda _, hparams: hparams.env), "memory": None,
@@ -71,6 +75,9 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
         dyna, alone = dyna._replace(dream=None), replace(config, dream_updates=0)
         return study.dyna_arm(dyna, alone, hparams, hooks)
 
+    def alone(agent: Callable[..., Agent], values: Any) -> Any:
+        return study.dyna_arm(linear(dyna, agent), config, replace(hparams, agent=values), hooks)
+
     def shown(agent: agents.ReinforceConfig = options.agent) -> Dyna:
         imitating = dyna._replace(agent=imitator(agent, options.cloning))
         return acting(imitating, shooting, options.mpc, without_guide, options.shown_episodes)
@@ -89,12 +96,10 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
         "mpc_init": lambda: dreamless(unless_safe(shown(busy))),
         "mpc_init_dyna": lambda: study.dyna_arm(shown(), config, late, hooks),
         "mpc_clone": lambda: dreamless(with_agent(shown(), update=learn_nothing)),
-        "random_search": lambda: study.dyna_arm(
-            searching(dyna),
-            config,
-            replace(hparams, agent=agents.LinearSearchHParams(rule(options).threshold)),
-            hooks,
+        "random_search": lambda: alone(
+            agents.linear_search, agents.LinearSearchHParams(rule(options).threshold)
         ),
+        "linear_model": lambda: alone(agents.linear_regulator, agents.LinearRegulatorHParams()),
     }
 
 
@@ -177,10 +182,10 @@ def overwrite_angle(predict: Predict) -> Predict:
 
 
 @cache
-def searching(dyna: Dyna) -> Dyna:
-    """Without a model, and with a random linear policy for an agent."""
-    search = agents.linear_search((4,), dyna.env.num_actions)
-    return dyna._replace(agent=search, model=None, dream=None, diagnose=None, safe=None)
+def linear(dyna: Dyna, agent: Callable[..., Agent]) -> Dyna:
+    """Without a model, and with an agent whose policy is a linear function of the state."""
+    acting = agent((4,), dyna.env.num_actions)
+    return dyna._replace(agent=acting, model=None, dream=None, diagnose=None, safe=None)
 
 
 @cache

@@ -42,7 +42,7 @@ LOOKS = {
     "mpc": Look(SKY, SOLID), "mcts": Look(PURPLE, DASH_DOTTED),
     "mpc_init": Look(VERMILION, DASH_DOTTED), "mpc_init_dyna": Look(BLUE, LONG),
     "mpc_clone": Look(ORANGE, DOTTED), "random_search": Look(PURPLE, LONG),
-    "dqn": Look(VERMILION, SOLID),
+    "linear_model": Look(SKY, DASHED), "dqn": Look(VERMILION, SOLID),
     "dyna_l2": Look(SKY, LONG), "dyna_adversarial": Look(BLUE, DASH_DOTTED),
     "true_ball": Look(ORANGE, SOLID), "true_own": Look(PURPLE, SOLID),
     "true_opponent": Look(BLACK, DOTTED), "true_frames": Look(BLUE, SOLID),

@@ -206,7 +206,7 @@ def _begun(arm: str) -> str:
     """What begins in an arm after the first N real episodes."""
     if arm.startswith(("mpc", "mcts")):
         return "planners begin"
-    alone = ("model_free", "max_updates", "more_updates", "random_search", "dqn")
+    alone = ("model_free", "max_updates", "more_updates", "random_search", "linear_model", "dqn")
     return "" if arm.startswith(alone) else "dreams begin"
 
 
