@@ -86,7 +86,15 @@ REMADE = {
         "hparams.agent.learning_rate",
         "episodes",  # of the levers, and:
         "stop_after_solved",
-    )
+    ),
+    "maze lean": (
+        "dyna.num_real_first",
+        "dyna.model_updates",
+        "dyna.dream_updates",
+        "agent.fake_capacity",
+        "hparams.agent.epsilon_hold",
+        "hparams.agent.epsilon_episodes",
+    ),
 }
 """Settings that a preset sets otherwise since its records were made, by module and preset."""
 

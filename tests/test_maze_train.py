@@ -160,7 +160,7 @@ def test_what_is_learned_first_by_hand():
 
 def test_mpc_init_makes_as_many_updates_as_dyna_on_real_steps_alone():
     options = changed(LEAN, {"agent.fake_updates": 7}).resolved()
-    assert options.cloning.updates == 7
+    assert options.cloning.updates == 2 * 7
     made = arms(options, judged=False)
     dyna, imitating = made["dyna"](), made["mpc_init"]()
     late = options.dyna.num_real_first + options.shown_episodes

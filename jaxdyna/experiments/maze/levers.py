@@ -33,25 +33,26 @@ WORSE: dict[str, Overrides] = {
     "model: rare steps as they come": {"dyna.rare_share": None},
     "model: layers of (4, 4)": {"model_widths": (4, 4)},
     "model: layers of (32,)": {"model_widths": (32,)},
+    "model: 100 updates an episode": {"dyna.model_updates": 100},
     "model: 10 updates an episode": {"dyna.model_updates": 10},
     "model: 3 updates an episode": {"dyna.model_updates": 3},
 }
 """What changes the model alone."""
 LEARNING: dict[str, Overrides] = {
-    "N = 5": {"dyna.num_real_first": 5},
-    "N = 30": {"dyna.num_real_first": 30},
+    "N = 2": {"dyna.num_real_first": 2},
+    "N = 15": {"dyna.num_real_first": 15},
     "dreams of 1 step(s), as many steps": {"dyna.dream_steps": 1, "dyna.dream_episodes": 2000},
     "dreams of 20 step(s), as many steps": {"dyna.dream_steps": 20, "dyna.dream_episodes": 100},
-    "100 dreams an episode, not 400": {"dyna.dream_episodes": 100, "agent.fake_capacity": 16000},
-    "1600 dreams an episode, not 400": {"dyna.dream_episodes": 1600, "agent.fake_capacity": 256000},
+    "a quarter of the dreams": {"dyna.dream_episodes": 100, "agent.fake_capacity": 2000},
+    "four times the dreams": {"dyna.dream_episodes": 1600, "agent.fake_capacity": 32000},
     "25% of a batch dreamed": {"hparams.agent.fake_share": 0.25},
     "90% of a batch dreamed": {"hparams.agent.fake_share": 0.9},
-    "100 updates on dreams to 100 on real steps": {"agent.fake_updates": 100},
-    "800 updates on dreams to 100 on real steps": {"agent.fake_updates": 800},
+    "200 updates on dreams to 100 on real steps": {"agent.fake_updates": 100},
+    "1600 updates on dreams to 100 on real steps": {"agent.fake_updates": 800},
     "dreams broken off where half a pixel is in doubt": {
         "hparams.dream.uncertainty_threshold": 0.5
     },
-    "dreams of the newest 2 real episodes only": {"agent.fake_capacity": 4000},
+    "dreams of the newest 16 real episodes, not 2": {"agent.fake_capacity": 64000},
 }
 """What changes how dreams are used and what the agent does with them, with the same model."""
 CONTROLS: dict[str, Overrides] = {

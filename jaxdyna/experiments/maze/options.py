@@ -135,8 +135,9 @@ class MazeOptions(Options):
 TUNED = MazeOptions(arms=("model_free", "dyna"), episodes=500, stop_after_solved=0)
 LEAN = changed(TUNED, {
     "preset": "lean", "network": "glimpse", "episodes": 150, "stop_after_solved": 50,
-    "dyna.num_real_first": 15, "dyna.model_updates": 100, "agent.updates": 100,
-    "hparams.agent": DQNHParams(epsilon_hold=15.0, epsilon_episodes=5.0),
+    "dyna.num_real_first": 5, "dyna.model_updates": 300, "dyna.dream_updates": 2,
+    "agent.updates": 100, "agent.fake_capacity": 8000,
+    "hparams.agent": DQNHParams(epsilon_hold=5.0, epsilon_episodes=2.0),
 })  # fmt: skip
 PAPER = changed(TUNED, {
     "preset": "paper", "episodes": 800, "network": "plain", "convolutions": (8, 16, 16),
