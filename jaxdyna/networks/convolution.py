@@ -151,7 +151,7 @@ def channel_axis() -> int:
 
 @jax.custom_vjp
 def correlate(x: jax.Array, kernel: jax.Array) -> jax.Array:
-    """`convolve` without padding, on pictures ``[C, H, W, N]``: ``[F, H - k + 1, W - k + 1, N]``."""
+    """`convolve` without padding, from ``[C, H, W, N]`` to ``[F, H - k + 1, W - k + 1, N]``."""
     size, features = kernel.shape[0], kernel.shape[-1]
     seen = _beside(x, size)
     parts = _by_rows(kernel) @ seen.reshape(seen.shape[0], -1)

@@ -136,7 +136,7 @@ def _settled_gradients(axis, residuals, gradient):
     return by_x, count * by_scale, count * by_shift
 
 
-def _over(x: jax.Array, axis: int) -> tuple[Callable, Callable]:
+def _over(x: jax.Array, axis: int) -> tuple[Callable[..., jax.Array], Callable[..., jax.Array]]:
     """From numbers of the features to numbers over all of ``x``; and back, to their means."""
     rest = tuple(each for each in range(x.ndim) if each != axis)
     return partial(jnp.expand_dims, axis=rest), partial(jnp.mean, axis=rest)
