@@ -1,11 +1,13 @@
-"""The rewritten gradient of a convolution against autodiff."""
+"""Rewritten convolutions and their gradients against autodiff of plain ones."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import linen as nn
 
-from jaxdyna.networks.convolution import convolve
+from jaxdyna.networks import layers
+from jaxdyna.networks.convolution import convolve, correlate, spread
 
 
 def plain(x, kernel, padding):
@@ -42,3 +44,63 @@ def test_a_batch_inside_vmap_is_the_batch():
     kernel = jax.random.normal(jax.random.key(1), (3, 3, 3, 2))
     one_by_one = jax.vmap(lambda one: convolve(one[None], kernel, 1)[0])(x)
     np.testing.assert_allclose(one_by_one, convolve(x, kernel, 1), rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize(("size", "channels", "features"), [(1, 3, 2), (3, 5, 2), (4, 2, 6)])
+def test_pictures_with_the_batch_last_are_the_same(size, channels, features):
+    """Values and gradients of a convolution, and of its transpose."""
+    keys = jax.random.split(jax.random.key(0), 4)
+    x = jax.random.normal(keys[0], (3, 9, 7, channels))
+    kernel = jax.random.normal(keys[1], (size, size, channels, features)) / size
+
+    def turned(x):  # from [N, H, W, C] to [C, H, W, N], and back
+        return x.transpose(3, 1, 2, 0)
+
+    y, back = jax.vjp(lambda *given: plain(*given, 0), x, kernel)
+    small, large = jax.random.normal(keys[2], y.shape), jax.random.normal(keys[3], x.shape)
+    value, gradients = jax.vjp(correlate, turned(x), kernel)
+    np.testing.assert_allclose(turned(value), y, rtol=1e-4, atol=1e-5)
+    by_x, by_kernel = gradients(turned(small))
+    for mine, theirs in zip((turned(by_x), by_kernel), back(small), strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-4, atol=1e-4)
+
+    def transposed(y, kernel):
+        return jax.vjp(lambda x: plain(x, kernel, 0), x)[1](y)[0]
+
+    grown, expected = jax.vjp(transposed, small, kernel)
+    value, gradients = jax.vjp(spread, turned(small), kernel)
+    np.testing.assert_allclose(turned(value), grown, rtol=1e-4, atol=1e-4)
+    by_y, by_kernel = gradients(turned(large))
+    for mine, theirs in zip((turned(by_y), by_kernel), expected(large), strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("axis", [0, 3])
+def test_a_normalised_convolution_by_its_definition(monkeypatch, axis):
+    """On a CPU's pictures and on others', values and gradients."""
+    monkeypatch.setattr(layers, "channel_axis", lambda: axis)
+
+    def arranged(x):
+        return x if axis else x.transpose(3, 1, 2, 0)
+
+    def by_definition(params, x):
+        kernel, scale, shift = (params["params"][name] for name in ("kernel", "scale", "shift"))
+        y = plain(x, kernel, 0)
+        y = (y - y.mean((0, 1, 2))) / jnp.sqrt(y.var((0, 1, 2)) + 1e-5)
+        return nn.relu(scale * y + shift)
+
+    layer, keys = layers.NormalisedConvolution(3, 2), jax.random.split(jax.random.key(0), 4)
+    x = 1 + jax.random.normal(keys[0], (4, 5, 6, 2))
+    drawn = jax.random.normal(keys[1], (2, 3))
+    params = layer.init(keys[2], arranged(x))["params"]
+    params = {"params": {**params, "scale": drawn[0], "shift": drawn[1]}}
+    weight = jax.random.normal(keys[3], (4, 4, 5, 3))
+
+    def mine(params, x):
+        return (arranged(weight) * layer.apply(params, arranged(x)) ** 2).sum()
+
+    def theirs(params, x):
+        return (weight * by_definition(params, x) ** 2).sum()
+
+    got, wanted = (jax.value_and_grad(loss, (0, 1))(params, x) for loss in (mine, theirs))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3), got, wanted)

@@ -104,8 +104,10 @@ def test_rest_when_safe():
         )
 
 
-@pytest.mark.parametrize(("safe", "updates", "rests"), [("both", 2, True), ("both", 1, False),
-                                                         ("real", 2, False), ("fake", 2, False)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("safe", "updates", "rests"),
+    [("both", 2, True), ("both", 1, False), ("real", 2, False), ("fake", 2, False)],
+)
 def test_rests_where_real_episode_and_last_dreams_were_safe(safe, updates, rests):
     """Two safe updates in a row are needed: with a single one a run never rests."""
 

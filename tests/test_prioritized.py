@@ -176,11 +176,12 @@ def test_an_error_that_is_no_number_stops_nothing(error):
 
 def test_priorities_far_apart_are_all_drawn(monkeypatch):
     """Where one of 200,000 is 100,000 times less likely than others, 2^23 heights are too few: by
-    the last 64 of them 3,054 items are to be drawn.
+    the last 64 of them 3,054 items are to be drawn; which is the last of them is rounding, since a
+    sum of 4,000 is known to within 24 of them.
     """
     weight = jnp.where(jnp.arange(200_000) < 4_000, 1.0, 1e-5)
     last = np.arange(2**32 - 64 * 512, 2**32).astype(np.uint32)
     monkeypatch.setattr(jax.random, "bits", lambda *given: jnp.asarray(last))
     drawn = np.bincount(np.asarray(ring.draw(weight, jax.random.key(0), last.shape)))
-    assert drawn.size == 200_000
+    assert drawn.size > 200_000 - 24
     assert 2_700 < (drawn > 0).sum() < 3_400 and drawn.max() < 256

@@ -140,3 +140,67 @@ def _windows(x: jax.Array, size: int, shape: tuple[int, ...]) -> jax.Array:
 
 
 convolve.defvjp(_with_residuals, _gradients)
+
+
+def channel_axis() -> int:
+    """Where pictures have their channels between layers that need no other order: in front, the
+    batch last, ``[C, H, W, N]``, on a CPU; at the end, ``[N, H, W, C]``, elsewhere.
+    """
+    return 0 if jax.default_backend() == "cpu" else 3
+
+
+@jax.custom_vjp
+def correlate(x: jax.Array, kernel: jax.Array) -> jax.Array:
+    """`convolve` without padding, from ``[C, H, W, N]`` to ``[F, H - k + 1, W - k + 1, N]``."""
+    size, features = kernel.shape[0], kernel.shape[-1]
+    seen = _beside(x, size)
+    parts = _by_rows(kernel) @ seen.reshape(seen.shape[0], -1)
+    parts, rows = parts.reshape(size, features, *seen.shape[1:]), x.shape[1] - size + 1
+    return jnp.asarray(sum(parts[row, :, row : row + rows] for row in range(size)))
+
+
+@jax.custom_vjp
+def spread(y: jax.Array, kernel: jax.Array) -> jax.Array:
+    """The transpose of `correlate`, from ``[F, H, W, N]`` to ``[C, H + k - 1, W + k - 1, N]``."""
+    size, channels = kernel.shape[0], kernel.shape[2]
+    given = _below(y, size)
+    parts = _by_rows(kernel).T @ given.reshape(given.shape[0], -1)
+    parts = parts.reshape(size, channels, *given.shape[1:])
+    margins = [((0, 0), (0, 0), (column, size - 1 - column), (0, 0)) for column in range(size)]
+    return jnp.asarray(sum(map(jnp.pad, parts, margins)))
+
+
+def _pair(x: jax.Array, y: jax.Array, kernel: jax.Array) -> jax.Array:
+    """The gradient by the kernel of the sum over ``correlate(x, kernel) * y``."""
+    size, _, channels, features = kernel.shape
+    seen, given = _beside(x, size), _below(y, size)
+    pairs = given.reshape(size * features, -1) @ seen.reshape(size * channels, -1).T
+    return pairs.reshape(size, features, size, channels).transpose(0, 2, 3, 1)
+
+
+def _by_rows(kernel: jax.Array) -> jax.Array:
+    """A kernel ``[k, k, C, F]`` as a matrix ``[k * F, k * C]``."""
+    size, _, channels, features = kernel.shape
+    return kernel.transpose(0, 3, 1, 2).reshape(size * features, size * channels)
+
+
+def _beside(x: jax.Array, size: int) -> jax.Array:
+    """What each column of a kernel sees of ``x``: ``[k * C, H, W - k + 1, N]``."""
+    width = x.shape[2] - size + 1
+    return jnp.concatenate([x[:, :, column : column + width] for column in range(size)])
+
+
+def _below(y: jax.Array, size: int) -> jax.Array:
+    """What each row of a kernel is given by ``y``: ``[k * F, H + k - 1, W, N]``."""
+    margins = [((0, 0), (row, size - 1 - row), (0, 0), (0, 0)) for row in range(size)]
+    return jnp.concatenate([jnp.pad(y, margin) for margin in margins])
+
+
+correlate.defvjp(
+    lambda x, kernel: (correlate(x, kernel), (x, kernel)),
+    lambda held, y: (spread(y, held[1]), _pair(held[0], y, held[1])),
+)
+spread.defvjp(
+    lambda y, kernel: (spread(y, kernel), (y, kernel)),
+    lambda held, x: (correlate(x, held[1]), _pair(x, held[0], held[1])),
+)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -9,7 +11,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 
 from jaxdyna.fields import check_counts, check_shape
-from jaxdyna.networks.convolution import convolve
+from jaxdyna.networks.convolution import channel_axis, convolve, correlate
 
 
 class Sized(nn.Module):
@@ -75,3 +77,69 @@ class Convolution(Sized):
         kernel = self.param("kernel", nn.initializers.he_normal(), shape, jnp.float32)
         bias = self.param("bias", nn.initializers.zeros, (self.features,), jnp.float32)
         return convolve(x.astype(kernel.dtype), kernel, self.padding) + bias
+
+
+class NormalisedConvolution(Sized):
+    """A convolution without padding, whose features are normalised over the pictures at hand (Ioffe
+    and Szegedy 2015), scaled and shifted, and ReLU. A bias would be taken off by the mean.
+
+    Attributes:
+        features: channels of the output.
+        size: cells a side of the kernel.
+    """
+
+    features: int
+    size: int
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """Maps ``[N, H, W, C]`` to ``[N, H', W', features]``; where
+        `jaxdyna.networks.convolution.channel_axis` is 0, ``[C, H, W, N]`` to ``[features, H', W',
+        N]``.
+        """
+        axis = channel_axis()
+        shape = (self.size, self.size, x.shape[axis], self.features)
+        kernel = self.param("kernel", nn.initializers.he_normal(), shape, jnp.float32)
+        scale = self.param("scale", nn.initializers.ones, (self.features,), jnp.float32)
+        shift = self.param("shift", nn.initializers.zeros, (self.features,), jnp.float32)
+        x = x.astype(kernel.dtype)
+        x = convolve(x, kernel, 0) if axis else correlate(x, kernel)
+        return settled(x, scale, shift, axis)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(3,))
+def settled(x: jax.Array, scale: jax.Array, shift: jax.Array, axis: int) -> jax.Array:
+    """Each feature of ``x``, along ``axis``, less its mean over all else, over its standard
+    deviation, scaled and shifted, and ReLU. Its gradient is written out: two passes, not eight.
+    """
+    return _settled(x, scale, shift, axis)[0]
+
+
+def _settled(x, scale, shift, axis):
+    over, mean = _over(x, axis)
+    middle, square = mean(x), mean(jnp.square(x))
+    rate = jax.lax.rsqrt(jnp.maximum(square - middle**2, 0) + 1e-5)
+    slope = scale * rate
+    y = nn.relu(over(slope) * x + over(shift - slope * middle))
+    return y, (x, y, middle, rate, slope)
+
+
+def _settled_gradients(axis, residuals, gradient):
+    x, y, middle, rate, slope = residuals
+    over, mean = _over(x, axis)
+    gradient = jnp.where(y > 0, gradient, 0)
+    count = x.size // x.shape[axis]
+    by_shift = mean(gradient)
+    by_scale = rate * (mean(gradient * x) - middle * by_shift)
+    along = -slope * rate * by_scale
+    by_x = over(slope) * gradient + over(along) * x - over(slope * by_shift + along * middle)
+    return by_x, count * by_scale, count * by_shift
+
+
+def _over(x: jax.Array, axis: int) -> tuple[Callable[..., jax.Array], Callable[..., jax.Array]]:
+    """From numbers of the features to numbers over all of ``x``; and back, to their means."""
+    rest = tuple(each for each in range(x.ndim) if each != axis)
+    return partial(jnp.expand_dims, axis=rest), partial(jnp.mean, axis=rest)
+
+
+settled.defvjp(_settled, _settled_gradients)

@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from jaxdyna.networks.layers import Convolution, Sized
+from jaxdyna.networks.convolution import channel_axis
+from jaxdyna.networks.layers import Convolution, NormalisedConvolution, Sized
 
 
 class ConvolutionalQ(Sized):
@@ -58,13 +59,14 @@ class PlainQ(Sized):
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
         """From ``[N, H, W, C]`` in [0, 1] to ``[N, actions]``."""
+        axis = channel_axis()
+        x = x if axis else x.transpose(3, 1, 2, 0)
         for number, features in enumerate(self.widths):
-            x = standardised(Convolution(features, 3, 0)(x))
-            scale = self.param(f"scale_{number}", nn.initializers.ones, (features,))
-            shift = self.param(f"shift_{number}", nn.initializers.zeros, (features,))
-            x = nn.relu(scale * x + shift)
-        x = nn.relu(nn.Dense(self.dense)(x.reshape(x.shape[0], -1)))
-        return nn.Dense(self.num_actions)(x)
+            x = NormalisedConvolution(features, 3, name=f"Convolution_{number}")(x)
+        # A dense layer's inputs are in the order of [H, W, C] either way.
+        x = x.reshape(len(x), -1) if axis else x.transpose(1, 2, 0, 3).reshape(-1, x.shape[-1])
+        x = nn.relu(nn.DenseGeneral(self.dense, -1 if axis else 0, name="Dense_0")(x))
+        return nn.Dense(self.num_actions, name="Dense_1")(x)
 
 
 class GlimpseQ(Sized):
@@ -128,16 +130,6 @@ def normalised(x: jax.Array, hidden: tuple[int, ...]) -> jax.Array:
     for features in hidden:
         x = nn.relu(nn.LayerNorm()(nn.Dense(features)(x)))
     return x
-
-
-def standardised(x: jax.Array) -> jax.Array:
-    """Each feature of ``[N, H, W, C]`` less its mean, over its standard deviation. Means are matrix
-    products: sums over all but the last axis are slow on a CPU.
-    """
-    flat = x.reshape(-1, x.shape[-1])
-    share = jnp.full(len(flat), 1 / len(flat))
-    mean, square = share @ flat, share @ jnp.square(flat)
-    return (x - mean) * jax.lax.rsqrt(jnp.maximum(square - mean**2, 0) + 1e-5)
 
 
 def glimpses(x: jax.Array, by_row: jax.Array, by_column: jax.Array, size: int) -> jax.Array:

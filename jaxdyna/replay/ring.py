@@ -183,7 +183,7 @@ def draw(weight: jax.Array, key: Key, shape: tuple[int, ...]) -> jax.Array:
     a row of them, then one in it, which saves running sums over all. In a row so unlikely that it
     has fewer of the 2^23 heights than items, the random number's other bits decide between these.
     """
-    rows = jnp.pad(weight, (0, -weight.size % ROW)).reshape(-1, ROW)
+    rows = _rows(weight)
     sums = rows.sum(1)
     ends = jnp.cumsum(sums)
     bits = jax.random.bits(key, shape, jnp.uint32).reshape(-1)
@@ -196,7 +196,13 @@ def draw(weight: jax.Array, key: Key, shape: tuple[int, ...]) -> jax.Array:
     within = jnp.where(coarse, within + finer, within)
     column = (jnp.cumsum(chosen, -1) <= within[:, None]).sum(-1)
     column = jnp.minimum(column, _last(chosen > 0))
-    return jnp.minimum(row * ROW + column, weight.size - 1).reshape(shape)
+    return jnp.minimum(row * rows.shape[1] + column, weight.size - 1).reshape(shape)
+
+
+def _rows(weight: jax.Array) -> jax.Array:
+    """Rows of the weights; of a length, where there is one, that needs no padded copy of them."""
+    length = next((n for n in range(ROW, ROW // 2, -1) if weight.size % n == 0), ROW)
+    return jnp.pad(weight, (0, -weight.size % length)).reshape(-1, length)
 
 
 def _last(flags: jax.Array) -> jax.Array:
