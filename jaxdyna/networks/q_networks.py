@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 
 from jaxdyna.networks.layers import Convolution, Sized
+from jaxdyna.networks.patches import to_patches
 
 
 class ConvolutionalQ(Sized):
@@ -49,15 +50,19 @@ class PlainQ(Sized):
         num_actions: how many values.
         widths: channels of the convolutions; each takes two cells off a picture's sides.
         dense: width of the dense layer.
+        patch: pixels a side of a cell; it divides the picture's sides. Of more than one the first
+            convolution has a kernel so many times as large, at a stride of one patch.
     """
 
     num_actions: int
     widths: tuple[int, ...] = (32, 64, 64)
     dense: int = 512
+    patch: int = 1
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
         """From ``[N, H, W, C]`` in [0, 1] to ``[N, actions]``."""
+        x = to_patches(x, self.patch)
         for number, features in enumerate(self.widths):
             x = standardised(Convolution(features, 3, 0)(x))
             scale = self.param(f"scale_{number}", nn.initializers.ones, (features,))

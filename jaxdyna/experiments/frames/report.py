@@ -16,6 +16,9 @@ from jaxdyna.experiments.report.sections import grouped, paragraphs
 from jaxdyna.experiments.report.summaries import Curves
 from jaxdyna.experiments.report.tables import Table, markdown_table, with_interval
 
+WHOSE = ("new", "old")
+"""Episodes whose losses are looked at."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FrameReport:
@@ -55,12 +58,42 @@ class FrameReport:
     @property
     def sections(self) -> tuple[sections.Section, ...]:
         """All of them."""
-        return (self.opening, self.by_stage, self.losses, self.rewards, self.dreams,
+        return (self.opening, self.training, self.by_stage, self.losses, self.rewards, self.dreams,
                 sections.arms_said(self.said), sections.settings, sections.spent)  # fmt: skip
 
     def opening(self, record: Record) -> str:
         """What was done, and the scores."""
         return paragraphs(self.about(record), markdown_table(*self.score_table(record)))
+
+    def training(self, record: Record) -> str:
+        """The loss of a frame against gradient steps, on new episodes and on old ones; empty where
+        nobody looked.
+        """
+        every = record.options.loss_every
+        curves = {name: one for name, one in record.curves.items() if "new_loss" in one}
+        if not curves:
+            return ""
+        looks = {
+            f"{name}, {whose}": curves[name][f"{whose}_loss"][:, every - 1 :: every]
+            for name in curves for whose in WHOSE
+        }  # fmt: skip
+        steps = every * np.arange(1, 1 + max(values.shape[1] for values in looks.values()))
+        panels = {name: {whose: looks[f"{name}, {whose}"] for whose in WHOSE} for name in curves}
+        drawn = plots.bands(record.out / "training.png", panels, "gradient steps",
+                            "loss of a frame", at=steps, yscale="log")  # fmt: skip
+        rows = [
+            [name, *(said for whose in WHOSE for said in _when(looks[f"{name}, {whose}"]))]
+            for name in curves
+        ]
+        return paragraphs(
+            "## Whether training is at its end",
+            f"The loss of a frame every {every:,} gradient steps, on transitions of the held-out "
+            "episodes (new) and on some of those that are learned from (old), the same ones each "
+            "time, as in training (a batch normalised by itself). Mean over runs.",
+            markdown_table(["model", *(f"{whose}, after {part} of the steps" for whose in WHOSE
+                                       for part in ("half", "all"))], rows),
+            "![the loss of a frame against gradient steps](training.png)" if drawn else "",
+        )  # fmt: skip
 
     def by_stage(self, record: Record) -> str:
         """Fig. 7 of every model that has several stages."""
@@ -212,6 +245,12 @@ class FrameReport:
     def dreamer(self, arm: str, rule: str) -> str:
         """A model, and by which rule its frames are made where there are several."""
         return arm if len(self.rules) == 1 else f"{arm}, {self.rules[rule]}"
+
+
+def _when(values: np.ndarray) -> tuple[str, str]:
+    """The mean over runs of ``[runs, looks]`` after half of the looks and after all."""
+    means = values.mean(0)
+    return f"{means[len(means) // 2 - 1]:.3g}", f"{means[-1]:.3g}"
 
 
 def _shown(curves: Curves) -> bool:

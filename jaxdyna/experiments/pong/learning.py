@@ -5,7 +5,15 @@ from typing import Any
 from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.arms import GAMES, GREEDY_EPISODES, SAID, arms
-from jaxdyna.experiments.pong.options import LEAN, MAIN_ARMS, QUICK, TUNED, PongOptions
+from jaxdyna.experiments.pong.options import (
+    LEAN,
+    MAIN_ARMS,
+    PAPER,
+    QUICK,
+    QUICK_PAPER,
+    TUNED,
+    PongOptions,
+)
 from jaxdyna.experiments.report import frames, plots
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import comparison, comparisons
@@ -100,7 +108,8 @@ def final(record: Any) -> str:
 
 PONG = Experiment(
     name="pong", title="Pong: learning to play", arms=arms, rule=rule,
-    presets={"tuned": TUNED, "lean": LEAN}, quick=dict.fromkeys(("tuned", "lean"), QUICK),
+    presets={"tuned": TUNED, "lean": LEAN, "paper": PAPER},
+    quick=dict.fromkeys(("tuned", "lean"), QUICK) | {"paper": QUICK_PAPER},
     describe=(describe,),
     sections=(
         about, report.solving(rule), in_steps, report.equal_episodes(BASELINES),
