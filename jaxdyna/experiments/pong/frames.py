@@ -62,8 +62,8 @@ class PongFrames(world.GameOptions, FrameOptions):
     )
     dreams: int = setting(8, "dreams in each held-out episode", at_least=1, at_most=1000)
     keep: bool = setting(
-        False, "whether models predict rewards as well, and are kept in curves.npz, for learning to "
-        "play in them (--models)",
+        False, "whether models predict rewards as well, and are kept in curves.npz, for learning "
+        "to play in them (--models)",
     )  # fmt: skip
     paper: Training = setting(factory=lambda: Training(6000, 0, 32, 4e-3, 0.0, None),
                               help="training of Fig. 4")  # fmt: skip

@@ -96,8 +96,7 @@ PAPER = changed(TUNED, {
     "preset": "paper", "arms": ("model_free", "more_updates", *MAIN_ARMS[1:]), "frames": "rgb",
     "network": "plain", "convolutions": (8, 16, 16), "stop_after_solved": None,
     "dyna.num_real_first": 20, "dyna.model_updates": 64, "dyna.model_batch": 32,
-    "dyna.rare_share": None, "dyna.dream_updates": 2, "dyna.dream_episodes": 1,
-    "dyna.dream_steps": None,
+    "dyna.rare_share": None, "dyna.dream_episodes": 1, "dyna.dream_steps": None,
     "agent": DQNConfig(
         updates=200, fake_updates=200, double=False, act_by_target=False, drift=0.0,
         loss=optax.l2_loss, fake_capacity=40_000,
