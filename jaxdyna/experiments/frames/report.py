@@ -66,34 +66,38 @@ class FrameReport:
         return paragraphs(self.about(record), markdown_table(*self.score_table(record)))
 
     def training(self, record: Record) -> str:
-        """The loss of a frame against gradient steps, on new episodes and on old ones; empty where
-        nobody looked.
+        """Each model's loss of a frame against gradient steps, on new episodes and on old ones;
+        empty where nobody looked.
         """
         every = record.options.loss_every
-        curves = {name: one for name, one in record.curves.items() if "new_loss" in one}
-        if not curves:
-            return ""
         looks = {
-            f"{name}, {whose}": curves[name][f"{whose}_loss"][:, every - 1 :: every]
-            for name in curves for whose in WHOSE
-        }  # fmt: skip
-        steps = every * np.arange(1, 1 + max(values.shape[1] for values in looks.values()))
-        panels = {name: {whose: looks[f"{name}, {whose}"] for whose in WHOSE} for name in curves}
-        drawn = plots.bands(record.out / "training.png", panels, "gradient steps",
-                            "loss of a frame", at=steps, yscale="log")  # fmt: skip
-        rows = [
-            [name, *(said for whose in WHOSE for said in _when(looks[f"{name}, {whose}"]))]
-            for name in curves
-        ]
+            name: {whose: one[f"{whose}_loss"][:, every - 1 :: every] for whose in WHOSE}
+            for name, one in record.curves.items()
+            if "new_loss" in one and one["new_loss"].shape[1] >= every
+        }
+        if not looks:
+            return ""
+        longest = max(losses["new"].shape[1] for losses in looks.values())
+        panels = {
+            f"{name}: loss of a frame": {whose: _held(losses[whose], longest) for whose in WHOSE}
+            for name, losses in looks.items()
+        }
+        steps = every * np.arange(1, longest + 1)
+        said = "gradient steps; one at its end keeps its last loss"
+        drawn = plots.bands(record.out / "training.png", panels, said, at=steps, yscale="log")
+        header = [f"{whose}, after {part}" for whose in WHOSE for part in ("half", "all")]
+        rows = [[name, *(f"{loss:.4g}" for whose in WHOSE for loss in _half_and_all(losses[whose]))]
+                for name, losses in looks.items()]  # fmt: skip
         return paragraphs(
             "## Whether training is at its end",
-            f"The loss of a frame every {every:,} gradient steps, on transitions of the held-out "
-            "episodes (new) and on some of those that are learned from (old), the same ones each "
-            "time, as in training (a batch normalised by itself). Mean over runs.",
-            markdown_table(["model", *(f"{whose}, after {part} of the steps" for whose in WHOSE
-                                       for part in ("half", "all"))], rows),
-            "![the loss of a frame against gradient steps](training.png)" if drawn else "",
-        )  # fmt: skip
+            f"A model's own loss of a frame every {every:,} gradient steps, on transitions of the "
+            "held-out episodes (new) and on as many of those that are learned from (old), the same "
+            "ones each time; a batch is normalised by itself, as in training. Mean over runs after "
+            "half and after all of the steps. Where more steps lower that on new, training was too "
+            "short; where they lower that on old alone, data is too little.",
+            markdown_table(["model", *header], rows),
+            "![a model's loss of a frame against gradient steps](training.png)" if drawn else "",
+        )
 
     def by_stage(self, record: Record) -> str:
         """Fig. 7 of every model that has several stages."""
@@ -247,10 +251,15 @@ class FrameReport:
         return arm if len(self.rules) == 1 else f"{arm}, {self.rules[rule]}"
 
 
-def _when(values: np.ndarray) -> tuple[str, str]:
+def _held(values: np.ndarray, longest: int) -> np.ndarray:
+    """``[runs, n]`` with its last column again, up to ``[runs, longest]``."""
+    return np.pad(values, ((0, 0), (0, longest - values.shape[1])), mode="edge")
+
+
+def _half_and_all(values: np.ndarray) -> tuple[float, float]:
     """The mean over runs of ``[runs, looks]`` after half of the looks and after all."""
     means = values.mean(0)
-    return f"{means[len(means) // 2 - 1]:.3g}", f"{means[-1]:.3g}"
+    return means[(len(means) - 1) // 2], means[-1]
 
 
 def _shown(curves: Curves) -> bool:
