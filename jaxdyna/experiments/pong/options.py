@@ -102,7 +102,7 @@ PAPER = changed(TUNED, {
         loss=optax.l2_loss, fake_capacity=40_000,
     ),
     "hparams.agent": DQNHParams(
-        learning_rate=1e-4, discount=0.99, epsilon_first=0.5, epsilon_last=0.025,
+        learning_rate=1e-3, discount=0.99, epsilon_first=0.5, epsilon_last=0.025,
         epsilon_episodes=100.0, epsilon_fake=None, target_rate=0.01, priority_exponent=0.0,
     ),
 })  # fmt: skip
