@@ -426,9 +426,11 @@ def test_a_given_model_is_dreamed_in_as_it_is():
 
     def given(runs):
         shapes = jax.eval_shape(MODEL.init, jax.random.key(0), hparams().model).params
-        return jax.tree.map(
-            lambda leaf: np.multiply.outer(1 + runs.seed, np.ones(leaf.shape, np.float32)), shapes
-        )
+
+        def filled(leaf):
+            return np.stack([np.full(leaf.shape, 1 + seed, leaf.dtype) for seed in runs.seed])
+
+        return jax.tree.map(filled, shapes)
 
     def judge(dyna, config, state, key, hparams):
         return {

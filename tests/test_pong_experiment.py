@@ -271,7 +271,8 @@ def test_weights_are_kept_and_found_again(tmp_path):
     params = {"weight": jnp.arange(6.0).reshape(2, 3), "bias": jnp.ones(3)}
     model = DynamicsModel(lambda key, hparams: Trained(params, ()), None, None)
     work = Work(None, None, judge=lambda state, *rest: {"recall": jnp.float32(1)})
-    judged = trained.kept(work).judge(Trained(params, ()), None, None, None)
+    learner = SimpleNamespace(model=Trained(params, ()))
+    judged = trained.kept(work).judge(learner, None, None, None)
     assert judged.pop("recall") == 1
     twice = {name: np.stack([leaf, leaf + 10]) for name, leaf in judged.items()}
     write_curves(tmp_path / "curves.npz", {"l2@mixed": twice})
