@@ -35,7 +35,7 @@ WHOLE_GAMES = (
     f"Greedy, {GAMES} games to 21 points a run: points won less points lost, mean over runs and "
     "95% interval; a game of half an hour is broken off, at its score. The literature's figures, "
     "after 100,000 steps, are those of its own repositories; its agents see grey or coloured "
-    "pixels, ours a channel for each object's colour."
+    "pixels, ours what is said above."
 )
 
 
@@ -53,10 +53,16 @@ def describe(options: PongOptions, curves: Any) -> dict[str, Any]:
 def about(record: Any) -> str:
     """The game, in words."""
     options = record.options
+    told = {"objects": "is told where each object is", "rgb": "sees pixels, by convolutions"}
+    given = (
+        f" Dreams are in the models of {options.models}, which were trained before, on episodes "
+        "that do not count, and learn nothing more." if options.models else ""
+    )  # fmt: skip
     return (
         f"An episode is {options.steps} steps of {world.FRAME_SKIP} frames of "
         f"{world.GAMES_SAID[options.game]}, its return the points won less those lost, so that 0 "
-        f"is as many points as the opponent. It is seen as {world.seen_said(options)}."
+        f"is as many points as the opponent. It is seen as {world.seen_said(options)}. The agent "
+        f"{told[options.frames]}.{given}"
     )
 
 
