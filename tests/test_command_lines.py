@@ -80,7 +80,7 @@ def wrong(leaf, number):
     if bool in kinds:
         return [("yes",)]
     if not inner & {int, float}:
-        return [] if str in inner and not leaf.choices else [("nonsense",), ("",)]
+        return [] if inner & {str, Path} and not leaf.choices else [("nonsense",), ("",)]
     others = ["nonsense", "", "nan", "1e", "-inf", "1 2", "1,2", "0x", "True"]
     others += ["1.5", "1e3", "inf"] if whole else [] if leaf.range.infinite else ["1e999", "inf"]
     others += [] if NoneType in kinds else ["None"]

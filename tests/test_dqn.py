@@ -15,7 +15,7 @@ from jaxdyna.agents import DQNConfig, DQNHParams, dqn, exploration, q_values
 from jaxdyna.agents.dqn import BEGUN, _descend, _mixed
 from jaxdyna.envs import Catch, FrameStack, Maze, MazeParams
 from jaxdyna.losses import td_error
-from jaxdyna.networks import GlimpseQ, PerceptronQ, PlainQ
+from jaxdyna.networks import GlimpseQ, PerceptronQ, PlainQ, to_patches
 from jaxdyna.replay import prioritized
 from jaxdyna.types import Transition
 
@@ -212,6 +212,14 @@ def test_a_plain_network_is_that_of_the_authors():
     one, three = values(params, pictures[:1]), values(params, pictures)
     np.testing.assert_allclose(values(params, 3 * pictures[:1]), one, rtol=1e-3, atol=1e-4)
     assert one.shape == (1, 5) and not np.allclose(three[:1], one, atol=1e-3)
+
+
+def test_a_plain_network_on_patches_sees_them_as_cells():
+    pictures = jax.random.uniform(jax.random.key(0), (2, 14, 14, 3))
+    pixels, patches = (PlainQ(5, (2, 2, 2), 4, patch=size) for size in (1, 2))
+    params = patches.init(jax.random.key(1), pictures)
+    cells = pixels.apply(params, to_patches(pictures, 2))
+    np.testing.assert_array_equal(patches.apply(params, pictures), cells)
 
 
 def test_values_are_of_shades():

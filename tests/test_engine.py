@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from functools import partial
 
 import chex
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import tiny
-from parts import DYNA, SMALL, hparams
+from parts import DYNA, MODEL, MODEL_FREE, SMALL, hparams
 from renamed import respelled
 
 from jaxdyna.dyna.conditional import where_needed
@@ -417,3 +418,29 @@ def test_killed_ten_times_and_resumed_is_uninterrupted(name, tmp_path):
         if kills == 10:
             break
     assert kills == 10 and len(found) > 1
+
+
+def test_a_given_model_is_dreamed_in_as_it_is():
+    """By run; one that does not train is not given."""
+    config = replace(SMALL, model_updates=0, num_episodes=3)
+
+    def given(runs):
+        shapes = jax.eval_shape(MODEL.init, jax.random.key(0), hparams().model).params
+
+        def filled(leaf):
+            return np.stack([np.full(leaf.shape, 1 + seed, leaf.dtype) for seed in runs.seed])
+
+        return jax.tree.map(filled, shapes)
+
+    def judge(dyna, config, state, key, hparams):
+        return {
+            "least": jnp.stack([leaf.min() for leaf in jax.tree.leaves(state.model.params)]),
+            "most": jnp.stack([leaf.max() for leaf in jax.tree.leaves(state.model.params)]),
+        }
+
+    hooks = Hooks(judge, given=given)
+    arm = dyna_arm(DYNA, config, hparams(), hooks)
+    for seed, curves in enumerate(Engine().play(arm.work, runs_of([arm], [0, 1], 0)).curves):
+        assert (curves["least"] == 1 + seed).all() and (curves["most"] == 1 + seed).all()
+    assert dyna_arm(DYNA, config, hparams(model_trains=False), hooks).work.collect is None
+    assert dyna_arm(MODEL_FREE, config, hparams(), hooks).work.collect is None

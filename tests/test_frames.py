@@ -37,7 +37,7 @@ SMALL = MazeFrames(
 
 
 def play(out, *more):
-    return main(FRAMES, argv=[*MAZE, "--out", str(out), *more], prog=PROG)
+    return main(FRAMES, argv=[*MAZE, "--loss-every", "2", "--out", str(out), *more], prog=PROG)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,8 @@ def test_it_leaves_a_table_and_figures(finished):
     assert results["arms"]["paper@6"]["reward_right"] == {}
     report = (finished / "report.md").read_text()
     assert "| paper's figures | 100 | 0.92 | 0.83 | 0.99 |" in report
-    for name in ("fig7_paper.png", "fig7_lean.png", "thresholds.png", "losses.png", "horizon.png"):
+    names = ("training", "fig7_paper", "fig7_lean", "thresholds", "losses", "horizon")
+    for name in (f"{name}.png" for name in names):
         assert f"({name})" in report
         assert (finished / name).read_bytes().startswith(b"\x89PNG")
     assert (finished / "dream.gif").read_bytes().startswith(b"GIF89a")
@@ -76,6 +77,15 @@ def test_it_keeps_losses_and_pictures_of_the_first_run(finished):
         "show_belief": (16, 16, 3), "show_film_truth": (10, 16, 16, 3),
         "show_film_dream": (10, 16, 16, 3),
     }  # fmt: skip
+
+
+def test_it_looks_at_losses_on_new_and_old_episodes(finished):
+    """After every second of three gradient steps: the same transitions, in either run others."""
+    for name, judged in read_curves(finished / "curves.npz").items():
+        for whose in ("new", "old"):
+            loss = judged[f"{whose}_loss"]
+            assert loss.shape == (2, 3) and (np.isfinite(loss) == [False, True, False]).all()
+        assert len(set(np.ravel([judged["new_loss"][:, 1], judged["old_loss"][:, 1]]))) == 4, name
 
 
 @pytest.mark.slow  # as CartPole's

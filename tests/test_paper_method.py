@@ -8,18 +8,20 @@ import pytest
 from jaxdyna import fields
 from jaxdyna.experiments.cartpole import options as cartpole
 from jaxdyna.experiments.maze import options as maze
+from jaxdyna.experiments.pong import options as pong
 
 PAGE = (Path(__file__).parents[1] / "docs" / "paper-method.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL))
 SAID = {
     world: dict(re.findall(r"`([\w.]+)` = `([^`]+)`", text)) for world, text in SECTIONS.items()
 }
-PRESETS = {"CartPole": cartpole, "The Maze": maze}
+PRESETS = {"CartPole": cartpole, "The Maze": maze, "Pong": pong}
 OTHERS = ("mpc.", "mcts", "cloning.", "shown_episodes", "dqn.", "dqn_hparams.")
 """Settings of arms that the paper does not have."""
 UNUSED = {
     "CartPole": {"model.spread"},  # of a normalisation that is off
     "The Maze": {"model_widths"},  # of another model
+    "Pong": set(),
 }
 OPEN = {
     "The Maze": {
@@ -29,6 +31,11 @@ OPEN = {
         "agent.n_step", "hparams.agent.epsilon_first", "hparams.agent.epsilon_last",
         "hparams.agent.discount", "model", "coder_widths", "coder_kernels", "coder_dense",
         "model_loss", "model_reward", "reward_hidden", "reward_weight",
+    },
+    "Pong": {
+        "scale", "agent_dense", "widths", "dense", "adversarial_weight", "reward_weight",
+        "paper_rate", "models", "agent.optimizer", "agent.capacity", "agent.target_period",
+        "hparams.agent.fake_share", "hparams.env.serve_delay", "hparams.real_weight",
     },
 }  # fmt: skip
 """What the paper fixes, or leaves open and its authors' code decides."""

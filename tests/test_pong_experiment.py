@@ -9,12 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import tiny
+from parts import assert_same
 from renamed import respelled
 
 from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette, Pong, Replayed
 from jaxdyna.envs.pong_screen import mixture_of, picture_of, shares_of
-from jaxdyna.experiments.engine import main
-from jaxdyna.experiments.pong import PARTS, frames
+from jaxdyna.experiments.engine import InputError, Work, main
+from jaxdyna.experiments.engine.storage import write_curves
+from jaxdyna.experiments.pong import PARTS, frames, trained
 from jaxdyna.experiments.pong.arms import arms, points
 from jaxdyna.experiments.pong.data import choose, collect, play, screens, states, take
 from jaxdyna.experiments.pong.guided import Guided, GuidedParams
@@ -25,6 +27,7 @@ from jaxdyna.experiments.report.summaries import comparisons
 from jaxdyna.experiments.study.frames import draw_state
 from jaxdyna.fields import changed
 from jaxdyna.networks import SignedReward
+from jaxdyna.optimizers import Trained
 from jaxdyna.replay import frames as frame_replay
 from jaxdyna.statistics import summarise
 from jaxdyna.types import DynamicsModel, Prediction, Transition
@@ -84,9 +87,11 @@ def test_kept_episodes_look_as_the_stacked_game_does(played):
     assert unserved.any() and same[unserved].all()  # only serves are random
 
 
-def test_only_the_chosen_object_is_the_truth(played):
+@pytest.mark.parametrize("palette", [CHANNELS, Palette()], ids=["objects", "rgb"])
+def test_only_the_chosen_objects_are_the_truth(played, palette):
     """Beside a model that sees nothing."""
-    some = take(SOURCE, played, jnp.array([0, 1]), jnp.array([10, 11]))
+    coloured = Pong(4, 4, palette)
+    some = take(states(coloured, PARAMS), played, jnp.array([0, 1]), jnp.array([10, 11]))
     episodes = jax.tree.map(lambda leaf: leaf[:, None], some)
     example = jax.tree.map(lambda leaf: leaf[0], some)
     moment = jax.tree.map(lambda leaf: leaf[jnp.array([0, 1]), jnp.array([10, 11])], played.world)
@@ -95,7 +100,8 @@ def test_only_the_chosen_object_is_the_truth(played):
     held = frame_replay.add(held, episodes, jax.tree.map(lambda leaf: leaf[:, None], moment))
 
     def blind(params, obs, action, key):
-        dark = jnp.concatenate([obs[..., 3:], jnp.zeros_like(obs[..., :3])], -1)
+        empty = jnp.broadcast_to(jnp.array(palette.background, obs.dtype), obs[..., :3].shape)
+        dark = jnp.concatenate([obs[..., 3:], empty], -1)
         return Prediction(dark, jnp.float32(7), jnp.float32(0), jnp.float32(0))
 
     def step(env):
@@ -109,14 +115,17 @@ def test_only_the_chosen_object_is_the_truth(played):
 
         return go(jax.random.key(4))
 
-    game = FrameStack(GAME)
+    game = FrameStack(coloured)
     whole, _, reward, terminated, truncated, _ = step(Replayed(game, draw_state))
     assert abs(float(reward)) <= 1 and truncated and not terminated
-    for channel in OBJECTS.values():
-        seen, _, said, *_ = step(Guided(game, draw_state, predict=blind, truth=(channel,)))
-        newest = np.asarray(seen[..., -3:])
-        np.testing.assert_array_equal(newest[..., channel], whole[..., -3 + channel])
-        assert said == 7 and not np.delete(newest, channel, axis=-1).any()
+    there = in_channels(whole[..., -3:], palette) > 0
+    assert there.any((0, 1)).all()
+    for truth in ((0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2)):
+        seen, _, said, *_ = step(Guided(game, draw_state, blind, truth, palette))
+        only = jnp.where(np.isin(np.arange(3), truth), there, False)
+        np.testing.assert_array_equal(seen[..., -3:], picture_of(only, palette))
+        np.testing.assert_array_equal(seen[..., :-3], whole[..., :-3])
+        assert said == 7
 
 
 def test_objects_are_told_by_their_colours(played):
@@ -257,6 +266,43 @@ def test_a_signed_reward_is_a_difference_of_probabilities():
     np.testing.assert_allclose(head.apply(sure, features, features)[0], 1, atol=1e-3)
 
 
+def test_weights_are_kept_and_found_again(tmp_path):
+    """Where there are fewer models than runs, they are given in turn."""
+    params = {"weight": jnp.arange(6.0).reshape(2, 3), "bias": jnp.ones(3)}
+    model = DynamicsModel(lambda key, hparams: Trained(params, ()), None, None)
+    work = Work(None, None, judge=lambda state, *rest: {"recall": jnp.float32(1)})
+    learner = SimpleNamespace(model=Trained(params, ()))
+    judged = trained.kept(work).judge(learner, None, None, None)
+    assert judged.pop("recall") == 1
+    twice = {name: np.stack([leaf, leaf + 10]) for name, leaf in judged.items()}
+    write_curves(tmp_path / "curves.npz", {"l2@mixed": twice})
+    found = trained.given(tmp_path, "l2", model)(SimpleNamespace(seed=np.array([4, 1])))
+    assert_same(found, jax.tree.map(lambda leaf: np.stack([leaf, leaf + 10]), params))
+    wider = Trained(params | {"bias": jnp.ones(4)}, ())
+    larger = DynamicsModel(lambda key, hparams: wider, None, None)
+    for name, other in (("ours", model), ("l2", larger)):
+        with pytest.raises(InputError, match=f"no model {name} of these sizes"):
+            trained.given(tmp_path, name, other)(SimpleNamespace(seed=np.array([0])))
+
+
+@pytest.mark.slow
+def test_models_are_trained_kept_and_dreamed_in(tmp_path, capsys):
+    """The paper's preset in models that learn nothing more, and what it says without them."""
+    sizes = ["--frames", "rgb", "--widths", "2", "2", "2", "--dense", "8"]
+    models, out = tmp_path / "models", tmp_path / "out"
+    train = [*todays(tiny.PONG_MODEL), *sizes, "--keep", "--policies", "mixed", "--loss-every", "1"]
+    assert run(*train, "--arms", "l2", "--out", str(models)) == 0
+    report = (models / "report.md").read_text()
+    assert "(training.png)" in report and "| point lost |" in report
+    play = [*tiny.NEW["pong-paper"][1:], "--models", str(models), "--seeds", "2", "--out", str(out)]
+    assert run(*play, "--arms", "dyna_l2", "true_own_opponent") == 0
+    results = json.loads((out / "results.json").read_text())
+    assert results["config"]["dyna"]["model_updates"] == 0
+    assert (np.isfinite(results["arms"]["dyna_l2"]["final_return"]["per_seed"])).all()
+    assert run(*play[:-1], str(tmp_path / "none"), "--arms", "dyna") == 1
+    assert "no model ours of these sizes" in capsys.readouterr().err
+
+
 def test_arms_differ_by_what_their_names_say():
     options = TUNED.resolved()
     made = {name: make() for name, make in arms(options).items()}
@@ -302,10 +348,11 @@ def test_frame_prediction_leaves_tables_and_figures(tmp_path):
     ("arguments", "words"),
     [
         (["--game", "ale", "--arms", "true_ball"], "--game jax"),
-        (["--game", "ale", "--arms", "oracle"], "--frames objects"),
+        (["--game", "ale", "--arms", "oracle"], "--game jax"),
         (["--arms"], "--arms"),
         (["--steps", "0"], "--steps"),
-        (["--frames", "rgb", "--arms", "true_own"], "--arms true_own"),
+        (["--game", "ale", "--arms", "true_own_opponent"], "--arms true_own_opponent"),
+        (["--convolutions", "8", "0", "8"], "--convolutions"),
         (["--hparams.env.max-steps", "9"], "--steps"),
         (["--hparams.env.opponent-rest", "0"], "--hparams.env.opponent-rest"),
         (["--game", "ale", "--hparams.env.opponent-speed", "1"], "--game jax"),

@@ -159,6 +159,13 @@ NEW = {
         "--dyna.model-updates", "1", "--agent.updates", "1", "--agent.fake-updates", "1",
         "--agent.fake-capacity", "100", "--arms", "dyna",
     ],
+    "pong-paper": [
+        "pong", "--preset", "paper", "--quick", "--seeds", "1", "--episodes", "21", "--steps", "12",
+        "--dyna.num-real-first", "20", "--dyna.model-updates", "1", "--dyna.model-batch", "2",
+        "--widths", "2", "2", "2", "--dense", "8", "--hidden", "4", "--convolutions", "2", "2", "2",
+        "--agent-dense", "4", "--agent.updates", "1", "--agent.fake-updates", "1",
+        "--agent.batch", "2", "--agent.fake-capacity", "16", "--arms", "dyna_l2",
+    ],
     "catch": [
         "catch", "--quick", "--episodes", "24", "--rows", "5", "--dyna.num-real-first", "4",
         "--dyna.model-updates", "2", "--agent.updates", "2", "--agent.fake-updates", "2",

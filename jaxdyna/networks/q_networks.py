@@ -10,6 +10,7 @@ from flax import linen as nn
 
 from jaxdyna.networks.convolution import channel_axis
 from jaxdyna.networks.layers import Convolution, NormalisedConvolution, Sized
+from jaxdyna.networks.patches import to_patches
 
 
 class ConvolutionalQ(Sized):
@@ -50,16 +51,19 @@ class PlainQ(Sized):
         num_actions: how many values.
         widths: channels of the convolutions; each takes two cells off a picture's sides.
         dense: width of the dense layer.
+        patch: pixels a side of a cell; it divides the picture's sides. Of more than one the first
+            convolution has a kernel so many times as large, at a stride of one patch.
     """
 
     num_actions: int
     widths: tuple[int, ...] = (32, 64, 64)
     dense: int = 512
+    patch: int = 1
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
         """From ``[N, H, W, C]`` in [0, 1] to ``[N, actions]``."""
-        axis = channel_axis()
+        axis, x = channel_axis(), to_patches(x, self.patch)
         x = x if axis else x.transpose(3, 1, 2, 0)
         for number, features in enumerate(self.widths):
             x = NormalisedConvolution(features, 3, name=f"Convolution_{number}")(x)

@@ -142,7 +142,9 @@ def work(options: GridOptions, arm: str) -> Work:
     asked = Asked(believe, rules, config.threshold or 0.5, config.reward is not None)
     training: Training = getattr(options, TRAINED[arm])
     world = random_episodes(options, training.rare_share)
-    return frame_work(world, model, asked, training.batch, options.block)
+    return frame_work(
+        world, model, asked, training.batch, options.block, loss_every=options.loss_every
+    )
 
 
 def config_of(options: GridOptions, arm: str) -> PixelConfig:

@@ -50,6 +50,10 @@ class FrameOptions(Options):
     steps: int = setting(200, "steps of an episode", at_least=1, everyday=True)
     stop_after_solved: int | None = setting(None, "nothing is solved")
     held_out: int = setting(20, "new episodes that models are judged on", at_least=1, everyday=True)
+    loss_every: int = setting(
+        0, "gradient steps from one look at the loss, on new and on old episodes, to the next; 0 "
+        "never looks", at_least=0,
+    )  # fmt: skip
     horizon: int = setting(50, "steps of an open-loop dream", at_least=1, everyday=True)
 
     def __post_init__(self) -> None:

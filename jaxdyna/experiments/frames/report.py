@@ -16,6 +16,9 @@ from jaxdyna.experiments.report.sections import grouped, paragraphs
 from jaxdyna.experiments.report.summaries import Curves
 from jaxdyna.experiments.report.tables import Table, markdown_table, with_interval
 
+WHOSE = ("new", "old")
+"""Episodes whose losses are looked at."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FrameReport:
@@ -55,12 +58,46 @@ class FrameReport:
     @property
     def sections(self) -> tuple[sections.Section, ...]:
         """All of them."""
-        return (self.opening, self.by_stage, self.losses, self.rewards, self.dreams,
+        return (self.opening, self.training, self.by_stage, self.losses, self.rewards, self.dreams,
                 sections.arms_said(self.said), sections.settings, sections.spent)  # fmt: skip
 
     def opening(self, record: Record) -> str:
         """What was done, and the scores."""
         return paragraphs(self.about(record), markdown_table(*self.score_table(record)))
+
+    def training(self, record: Record) -> str:
+        """Each model's loss of a frame against gradient steps, on new episodes and on old ones;
+        empty where nobody looked.
+        """
+        every = record.options.loss_every
+        looks = {
+            name: {whose: one[f"{whose}_loss"][:, every - 1 :: every] for whose in WHOSE}
+            for name, one in record.curves.items()
+            if "new_loss" in one and one["new_loss"].shape[1] >= every
+        }
+        if not looks:
+            return ""
+        longest = max(losses["new"].shape[1] for losses in looks.values())
+        panels = {
+            f"{name}: loss of a frame": {whose: _held(losses[whose], longest) for whose in WHOSE}
+            for name, losses in looks.items()
+        }
+        steps = every * np.arange(1, longest + 1)
+        said = "gradient steps; one at its end keeps its last loss"
+        drawn = plots.bands(record.out / "training.png", panels, said, at=steps, yscale="log")
+        header = [f"{whose}, after {part}" for whose in WHOSE for part in ("half", "all")]
+        rows = [[name, *(f"{loss:.4g}" for whose in WHOSE for loss in _half_and_all(losses[whose]))]
+                for name, losses in looks.items()]  # fmt: skip
+        return paragraphs(
+            "## Whether training is at its end",
+            f"A model's own loss of a frame every {every:,} gradient steps, on transitions of the "
+            "held-out episodes (new) and on as many of those that are learned from (old), the same "
+            "ones each time; a batch is normalised by itself, as in training. Mean over runs after "
+            "half and after all of the steps. Where more steps lower that on new, training was too "
+            "short; where they lower that on old alone, data is too little.",
+            markdown_table(["model", *header], rows),
+            "![a model's loss of a frame against gradient steps](training.png)" if drawn else "",
+        )
 
     def by_stage(self, record: Record) -> str:
         """Fig. 7 of every model that has several stages."""
@@ -212,6 +249,17 @@ class FrameReport:
     def dreamer(self, arm: str, rule: str) -> str:
         """A model, and by which rule its frames are made where there are several."""
         return arm if len(self.rules) == 1 else f"{arm}, {self.rules[rule]}"
+
+
+def _held(values: np.ndarray, longest: int) -> np.ndarray:
+    """``[runs, n]`` with its last column again, up to ``[runs, longest]``."""
+    return np.pad(values, ((0, 0), (0, longest - values.shape[1])), mode="edge")
+
+
+def _half_and_all(values: np.ndarray) -> tuple[float, float]:
+    """The mean over runs of ``[runs, looks]`` after half of the looks and after all."""
+    means = values.mean(0)
+    return means[(len(means) - 1) // 2], means[-1]
 
 
 def _shown(curves: Curves) -> bool:

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from jaxdyna.dyna.conditional import where_needed
 from jaxdyna.dyna.loop import DIVERGED
 from jaxdyna.experiments.engine import Arm, Work
 from jaxdyna.experiments.frames import judging
@@ -20,6 +21,10 @@ from jaxdyna.trees import finite
 from jaxdyna.types import DynamicsModel, Key
 
 PIECE = 100
+LOOKED_AT = 16
+"""Steps of each new episode whose loss is looked at."""
+LOOKS = 2**32 - 1
+"""Folded into a run's key: no gradient step has this number."""
 
 
 @struct.dataclass
@@ -33,11 +38,13 @@ class Learner:
 @cache
 def frame_work(
     world: World, model: DynamicsModel, asked: Asked, batch: int, block: int = 1,
-    hparams_of: Callable[[Any], Any] = PixelHParams,
+    hparams_of: Callable[[Any], Any] = PixelHParams, loss_every: int = 0,
 ) -> Work:  # fmt: skip
     """A model's training on batches of so many transitions, and its judging on new episodes. A
     run's key gives all models and stages the same episodes; ``hparams_of`` makes the model's
-    hparams of a learning rate.
+    hparams of a learning rate. Every ``loss_every`` gradient steps, if any, ``new_loss`` and
+    ``old_loss`` are those of a frame on as many transitions that are never trained on, and that
+    are, the same ones each time; NaN between.
     """
 
     def init(key: Key, stage: Stage) -> Learner:
@@ -53,12 +60,29 @@ def frame_work(
         key = jax.random.fold_in(jax.random.clone(learner.key), number)
         key_sample, key_update = jax.random.split(key)
         transitions = world.sample(data, key_sample, stage, batch)
+        looked = {}
+        if loss_every:
+            look = partial(losses_of, learner, data, stage)
+            due = (number + 1) % loss_every == 0
+            looked = where_needed(due, True, (), lambda: (None, look()), None)[1]
         rate = 0.5 * (1 + jnp.cos(jnp.pi * number / stage.updates)) * stage.learning_rate
         state, losses = model.update(learner.model, transitions, key_update, hparams_of(rate))
         broken = jnp.where(finite(losses["loss"]), 0.0, 1.0 + DIVERGED.index("model"))
-        return replace(learner, model=state), {
+        return replace(learner, model=state), looked | {
             "show_frame_loss": losses["frame_loss"], "diverged": broken
         }  # fmt: skip
+
+    def losses_of(learner: Learner, data: Any, stage: Stage) -> dict[str, jax.Array]:
+        keys = jax.random.split(jax.random.fold_in(jax.random.clone(learner.key), LOOKS), 4)
+        shape = (world.episodes, LOOKED_AT)
+        times = jax.random.randint(keys[0], shape, 0, world.steps)
+        new = jax.vmap(partial(world.take, data))(jnp.arange(world.episodes), times)
+        old = world.sample(data, keys[1], stage, times.size)
+
+        def loss(of: Any, key: Key) -> jax.Array:
+            return model.update(learner.model, of, key, hparams_of(0.0))[1]["frame_loss"]
+
+        return {"new_loss": loss(new, keys[2]), "old_loss": loss(old, keys[3])}
 
     def ask(about: Callable[..., judging.Judgement]) -> Any:
         return lambda learner, data, key, _: about(world, asked, learner.model.params, data, key)

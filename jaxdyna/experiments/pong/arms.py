@@ -15,10 +15,11 @@ from jaxdyna.envs import AtariParams, FrameStack
 from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.guided import guided
 from jaxdyna.experiments.pong.options import TRUE_OBJECTS, PongOptions
+from jaxdyna.experiments.pong.trained import given
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.frames import frame_dyna, true_dyna
 from jaxdyna.models import AdversarialHParams
-from jaxdyna.networks import ConvolutionalQ, FeaturePointQ, SignedReward
+from jaxdyna.networks import ConvolutionalQ, FeaturePointQ, PlainQ, SignedReward
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Environment, Key, Transition
 
@@ -40,25 +41,41 @@ SAID = study.SAID | {
 def arms(options: PongOptions) -> dict[str, study.Made]:
     """What makes each arm that can be had of this game."""
     game = world.game_of(options)
-    network: Any = FeaturePointQ if options.frames == "objects" else ConvolutionalQ
-    agent = replace(study.sized(options.agent, options.dyna), network=network(game.num_actions))
+    agent = replace(study.sized(options.agent, options.dyna), network=network_of(options, game))
     hparams, rate = options.hparams, options.paper_rate
     if options.game == "ale":
         hparams = replace(hparams, env=AtariParams(options.steps))
     theirs = replace(hparams, model=AdversarialHParams(rate, options.adversarial_weight, rate))
     ours = world.our_model(options, options.weight_decay, draws=True)
     blurred = world.paper_model(options, reward=SignedReward(), reward_weight=options.reward_weight)
-    hooks = study.Hooks(judge, show, piece=10, block=options.block)
     dyna, l2 = parts(game, agent, ours), parts(game, agent, blurred)
-    mended = {name: guided(l2, true) for name, true in TRUE_OBJECTS.items()}
-    blurring = {"dyna_l2": l2, "dyna_adversarial": parts(game, agent, blurred, True)} | mended
+    opposed = parts(game, agent, blurred, True)
+
+    def hooks(name: str, dyna: Dyna) -> study.Hooks:
+        known = given(options.models, name, dyna.model) if options.models else None
+        return study.Hooks(judge, show, piece=10, block=options.block, given=known)
+
+    blurring = partial(study.dyna_arm, config=options.dyna, hparams=theirs, hooks=hooks("l2", l2))
     return study.standard_arms(
-        dyna, options.dyna, hparams, true_dyna(dyna), hooks,
+        dyna, options.dyna, hparams, true_dyna(dyna), hooks("ours", dyna),
         busier=parts(game, study.busy(agent, options.dyna), ours).agent,
     ) | {
-        name: partial(study.dyna_arm, each, options.dyna, theirs, hooks)
-        for name, each in blurring.items()
+        "dyna_l2": partial(blurring, l2),
+        "dyna_adversarial": partial(blurring, opposed, hooks=hooks("adversarial", opposed)),
+    } | {
+        name: partial(blurring, guided(l2, true)) for name, true in TRUE_OBJECTS.items()
     }  # fmt: skip
+
+
+def network_of(options: PongOptions, game: Any) -> Any:
+    """The agent's: it is told where objects are where each has a channel, and sees no more than
+    pixels where they have the game's colours.
+    """
+    if options.frames == "objects":
+        return FeaturePointQ(game.num_actions)
+    sizes = game.num_actions, options.convolutions, options.agent_dense
+    plain = options.network == "plain"
+    return PlainQ(*sizes, patch=world.PATCH) if plain else ConvolutionalQ(*sizes)
 
 
 @cache

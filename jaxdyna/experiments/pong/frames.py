@@ -19,11 +19,13 @@ from jaxdyna.experiments.frames.training import frame_arms, frame_work
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
 from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.data import Played, collect, play, screens, states, take
+from jaxdyna.experiments.pong.trained import kept
 from jaxdyna.experiments.pong.world import OBJECTS, PALETTES
 from jaxdyna.experiments.report import frames as pictures
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report import tables
 from jaxdyna.fields import changed, setting
+from jaxdyna.networks import SignedReward
 from jaxdyna.types import DynamicsModel, Key, Transition
 
 Policy = Literal["random", "mixed"]
@@ -59,6 +61,10 @@ class PongFrames(world.GameOptions, FrameOptions):
         200, "steps of an episode; 21 points take longer", at_least=1, at_most=700, everyday=True
     )
     dreams: int = setting(8, "dreams in each held-out episode", at_least=1, at_most=1000)
+    keep: bool = setting(
+        False, "whether models predict rewards as well, and are kept in curves.npz, for learning "
+        "to play in them (--models)",
+    )  # fmt: skip
     paper: Training = setting(factory=lambda: Training(6000, 0, 32, 4e-3, 0.0, None),
                               help="training of Fig. 4")  # fmt: skip
     ours: Training = setting(factory=lambda: Training(6000, 0, 256, 2e-3, 0.1, None),
@@ -81,7 +87,10 @@ def work(options: PongFrames, arm: str) -> Work:
         return models.AdversarialHParams(rate, options.adversarial_weight, rate)
 
     rates: Any = adversarial if arm == "adversarial" else models.PixelHParams
-    return frame_work(world_of(options), *asked(options, arm), batch, options.block, rates)
+    made = frame_work(
+        world_of(options), *asked(options, arm), batch, options.block, rates, options.loss_every
+    )
+    return kept(made) if options.keep else made
 
 
 def asked(options: PongFrames, arm: str) -> tuple[DynamicsModel, Asked]:
@@ -92,6 +101,8 @@ def asked(options: PongFrames, arm: str) -> tuple[DynamicsModel, Asked]:
     if arm != "ours":
         lit = arm == "bce" and options.frames == "objects"
         more: Any = {"threshold": 0.2, "shades": False} if lit else {}
+        if options.keep:
+            more |= {"reward": SignedReward(), "reward_weight": options.reward_weight}
         loss = {"l1": losses.l1, "bce": losses.bce}.get(arm, losses.l2)
         config = world.paper_model(options, options.paper.weight_decay, loss, **more)
     model = world.model_of(game, config, arm == "adversarial")
@@ -103,12 +114,14 @@ def asked(options: PongFrames, arm: str) -> tuple[DynamicsModel, Asked]:
             return knows(params, world.in_channels(obs, palette), action)
 
         return model, Asked(
-            believe, rules, 0.5, picture=lambda *args: mixture_of(believe(*args), palette) / 255
-        )
+            believe, rules, 0.5, options.keep,
+            picture=lambda *args: mixture_of(believe(*args), palette) / 255,
+        )  # fmt: skip
     frame = models.frame_probability(actions, config)
     return model, Asked(
-        lambda *args: shares_of(255 * frame(*args), palette), rules, config.threshold, picture=frame
-    )
+        lambda *args: shares_of(255 * frame(*args), palette), rules, config.threshold, options.keep,
+        picture=frame,
+    )  # fmt: skip
 
 
 @cache
@@ -223,6 +236,7 @@ def about(record: Record) -> str:
 
 REPORT = FrameReport(
     about=about, said=SAID, stage="policy", classes=tuple(OBJECTS), scores=("recall", "precision"),
+    kinds=("point lost", "point won", "neither"),
     prefer=lambda options, stages: "mixed" if "mixed" in stages else stages[0],
     filmed=("ours", "adversarial", "l2"), seen=seen,
 )  # fmt: skip
@@ -248,6 +262,11 @@ def blur(record: Record) -> str:
     )
 
 
+def rewards(record: Record) -> str:
+    """How many are predicted right; empty where none are."""
+    return REPORT.rewards(record) if record.options.keep else ""
+
+
 def before_serves(record: Record) -> str:
     """Scores of the dreams within which nothing is random."""
     return report.paragraphs(
@@ -268,6 +287,6 @@ FRAMES = Experiment(
     name="frames", title="Pong: predicting frames (Fig. 9)", arms=arms,
     presets={"tuned": TUNED, "lean": LEAN}, quick=dict.fromkeys(("tuned", "lean"), QUICK),
     describe=(REPORT.describe,),
-    sections=(REPORT.opening, blur, REPORT.dreams, before_serves, report.arms_said(SAID),
-              report.settings, report.spent),
+    sections=(REPORT.opening, REPORT.training, blur, REPORT.dreams, before_serves, rewards,
+              report.arms_said(SAID), report.settings, report.spent),
 )  # fmt: skip

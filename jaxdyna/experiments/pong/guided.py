@@ -12,8 +12,9 @@ import numpy as np
 from flax import struct
 
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState
-from jaxdyna.envs import Replayed, ReplayedParams, StackState
-from jaxdyna.experiments.pong.world import OBJECTS
+from jaxdyna.envs import CHANNELS, Palette, Replayed, ReplayedParams, StackState
+from jaxdyna.envs.pong_screen import mixture_of, shares_of
+from jaxdyna.experiments.pong.world import OBJECTS, in_channels
 from jaxdyna.experiments.study.frames import draw_state, with_states
 from jaxdyna.models.evaluation import Predict
 from jaxdyna.types import Key
@@ -32,20 +33,26 @@ class Guided(Replayed):
 
     Attributes:
         predict: a model's ``predict``.
-        truth: channels of each frame that are the true game's.
+        truth: channels of each frame, seen an object a channel, that are the true game's.
+        palette: the colours in which it is seen. Where they are the game's own, a predicted pixel
+            is taken for a mixture of the background and one object (`shares_of`).
     """
 
     predict: Predict | None = None
     truth: tuple[int, ...] = ()
+    palette: Palette = CHANNELS
 
     def step(self, key: Key, state: StackState, action: jax.Array, params: Any) -> Any:
         """One step of both; the reward is the model's."""
         key_game, key_predict = jax.random.split(key)
-        frame, new, _, *ends = super().step(key_game, state, action, params)
+        stack, new, _, *ends = super().step(key_game, state, action, params)
         assert self.predict is not None
         said = self.predict(params.model, state.obs, action, key_predict)
-        true = np.isin(np.arange(frame.shape[-1]) % len(OBJECTS), self.truth)
-        obs = jnp.where(true, frame, said.next_obs)
+        true = in_channels(stack[..., -3:], self.palette) / 255
+        believed = shares_of(said.next_obs[..., -3:], self.palette)
+        mended = jnp.where(np.isin(np.arange(3), self.truth), true, believed)
+        frame = jnp.round(mixture_of(mended, self.palette)).astype(stack.dtype)
+        obs = jnp.concatenate([state.obs[..., 3:], frame], axis=-1)
         return obs, replace(new, obs=obs), said.reward, *ends
 
 
@@ -53,11 +60,12 @@ class Guided(Replayed):
 def guided(dyna: Dyna, things: tuple[str, ...]) -> Dyna:
     """Dreams of the same model with these of the true game's objects."""
     env, model = dyna.env, dyna.model
+    palette: Palette = env.env.palette  # type: ignore[attr-defined]
     assert model is not None
 
     def params(state: DynaState, hparams: DynaHParams) -> GuidedParams:
         return GuidedParams(hparams.env, state.replay, hparams.env.max_steps, state.model.params)
 
     truth = tuple(OBJECTS[thing] for thing in things)
-    dream = Guided(env, draw_state, predict=model.predict, truth=truth)  # type: ignore[arg-type]
+    dream = Guided(env, draw_state, model.predict, truth, palette)  # type: ignore[arg-type]
     return with_states(dyna)._replace(dream=Dream(dream, params))

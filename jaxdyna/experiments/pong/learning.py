@@ -5,7 +5,15 @@ from typing import Any
 from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.arms import GAMES, GREEDY_EPISODES, SAID, arms
-from jaxdyna.experiments.pong.options import LEAN, MAIN_ARMS, QUICK, TUNED, PongOptions
+from jaxdyna.experiments.pong.options import (
+    LEAN,
+    MAIN_ARMS,
+    PAPER,
+    QUICK,
+    QUICK_PAPER,
+    TUNED,
+    PongOptions,
+)
 from jaxdyna.experiments.report import frames, plots
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import comparison, comparisons
@@ -27,7 +35,7 @@ WHOLE_GAMES = (
     f"Greedy, {GAMES} games to 21 points a run: points won less points lost, mean over runs and "
     "95% interval; a game of half an hour is broken off, at its score. The literature's figures, "
     "after 100,000 steps, are those of its own repositories; its agents see grey or coloured "
-    "pixels, ours a channel for each object's colour."
+    "pixels, ours what is said above."
 )
 
 
@@ -45,10 +53,16 @@ def describe(options: PongOptions, curves: Any) -> dict[str, Any]:
 def about(record: Any) -> str:
     """The game, in words."""
     options = record.options
+    told = {"objects": "is told where each object is", "rgb": "sees pixels, by convolutions"}
+    given = (
+        f" Dreams are in the models of {options.models}, which were trained before, on episodes "
+        "that do not count, and learn nothing more." if options.models else ""
+    )  # fmt: skip
     return (
         f"An episode is {options.steps} steps of {world.FRAME_SKIP} frames of "
         f"{world.GAMES_SAID[options.game]}, its return the points won less those lost, so that 0 "
-        f"is as many points as the opponent. It is seen as {world.seen_said(options)}."
+        f"is as many points as the opponent. It is seen as {world.seen_said(options)}. The agent "
+        f"{told[options.frames]}.{given}"
     )
 
 
@@ -100,7 +114,8 @@ def final(record: Any) -> str:
 
 PONG = Experiment(
     name="pong", title="Pong: learning to play", arms=arms, rule=rule,
-    presets={"tuned": TUNED, "lean": LEAN}, quick=dict.fromkeys(("tuned", "lean"), QUICK),
+    presets={"tuned": TUNED, "lean": LEAN, "paper": PAPER},
+    quick=dict.fromkeys(("tuned", "lean"), QUICK) | {"paper": QUICK_PAPER},
     describe=(describe,),
     sections=(
         about, report.solving(rule), in_steps, report.equal_episodes(BASELINES),

@@ -55,6 +55,7 @@ class GameOptions(Options):
     adversarial_weight: float = setting(
         0.1, "the paper's lambda, beside half the squared error summed over a frame", at_least=0
     )
+    reward_weight: float = setting(5.0, "of the reward's error in the paper's models", at_least=0)
     hidden: tuple[int, ...] = setting((256, 256), "widths of our model's perceptrons", at_least=1)
     dropout: float = setting(0.1, "share of our model's features that a gradient step does without",
                              at_least=0, below=1)  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, make_init, make_step
-from jaxdyna.experiments.engine import Arm, Work
+from jaxdyna.experiments.engine import Arm, Runs, Work
 from jaxdyna.fields import LARGEST, SettingError
 from jaxdyna.sweep import RUNS
 from jaxdyna.types import Agent, Key
@@ -32,31 +32,42 @@ SAID = {
 class Hooks(NamedTuple):
     """What an experiment wants to know of its arms' runs: of every one that is over, and of the
     first alone; ``piece`` and ``block`` as in `Work`.
+
+    Attributes:
+        given: ``(runs) -> params [runs, ...]`` of models that were trained before: a run's is set
+            to them before each episode. None: it learns from what the run plays.
     """
 
     judge: Judged | None = None
     show: Judged | None = None
     piece: int = 50
     block: int = 1
+    given: Callable[[Runs], Any] | None = None
 
 
 @cache
 def dyna_work(dyna: Dyna, config: DynaConfig, hooks: Hooks) -> Work:
     """A run of Dyna as work, whose unit is a real episode."""
-    step = make_step(dyna, config, (RUNS,))
+    play = make_step(dyna, config, (RUNS,))
 
     def told(judged: Judged | None) -> Any:
         return judged and (lambda state, _, *rest: judged(dyna, config, state, *rest))
 
+    def step(state: DynaState, given: Any, episode: jax.Array, hparams: DynaHParams) -> Any:
+        if hooks.given:
+            state = replace(state, model=replace(state.model, params=given))
+        return play(state, episode, hparams)
+
     return Work(
-        init=make_init(dyna, config),
-        step=lambda state, _, episode, hparams: step(state, episode, hparams),
-        judge=told(hooks.judge), show=told(hooks.show), piece=hooks.piece, block=hooks.block,
+        make_init(dyna, config), step, collect=hooks.given, judge=told(hooks.judge),
+        show=told(hooks.show), piece=hooks.piece, block=hooks.block,
     )  # fmt: skip
 
 
 def dyna_arm(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, hooks: Hooks) -> Arm:
-    """An arm of Dyna."""
+    """An arm of Dyna; a model that does not train at all is not given either."""
+    if dyna.model is None or not hparams.model_trains:
+        hooks = hooks._replace(given=None)
     if dyna.dream and hparams.num_real_first > config.num_episodes:
         said = f"is {hparams.num_real_first}: there are only {config.num_episodes} episodes"
         raise SettingError("hparams.num_real_first", said)
