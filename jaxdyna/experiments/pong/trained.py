@@ -57,7 +57,7 @@ def given(folder: Path, name: str, model: DynamicsModel) -> Callable[[Runs], Any
                 f"--part frames --keep --policies {POLICY} --arms {name} with the same --game, "
                 "--frames, --scale, --widths, --dense and --hidden"
             )
-        return tree.unflatten([array[runs.seed % len(array)] for array in arrays])
+        return jax.tree.unflatten(tree, [array[runs.seed % len(array)] for array in arrays])
 
     return collect
 
