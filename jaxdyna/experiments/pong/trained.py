@@ -42,11 +42,11 @@ def given(folder: Path, name: str, model: DynamicsModel) -> Callable[[Runs], Any
         model: as it dreams.
 
     Returns:
-        ``(runs) -> params [runs, ...]``, which raises `InputError` where there is none whose
-        weights have the model's shapes.
+        ``(runs) -> params [runs, ...]``. Its ``check()`` raises `InputError` where there is none
+        whose weights have the model's shapes.
     """
 
-    def collect(runs: Runs) -> Any:
+    def weights() -> Any:
         shapes: Any = jax.eval_shape(model.init, jax.random.key(0), AdversarialHParams()).params
         leaves, tree = jax.tree.flatten(shapes)
         held = _read(folder).get(f"{name}@{POLICY}", {})
@@ -57,8 +57,12 @@ def given(folder: Path, name: str, model: DynamicsModel) -> Callable[[Runs], Any
                 f"--part frames --keep --policies {POLICY} --arms {name} with the same --game, "
                 "--frames, --scale, --widths, --dense and --hidden"
             )
-        return jax.tree.unflatten(tree, [array[runs.seed % len(array)] for array in arrays])
+        return jax.tree.unflatten(tree, arrays)
 
+    def collect(runs: Runs) -> Any:
+        return jax.tree.map(lambda array: array[runs.seed % len(array)], weights())
+
+    collect.check = weights  # type: ignore[attr-defined]
     return collect
 
 

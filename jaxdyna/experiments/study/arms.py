@@ -35,7 +35,8 @@ class Hooks(NamedTuple):
 
     Attributes:
         given: ``(runs) -> params [runs, ...]`` of models that were trained before: a run's is set
-            to them before each episode. None: it learns from what the run plays.
+            to them before each episode; ``check()``, where it has one, is asked before anything is
+            played. None: the model learns from what the run plays.
     """
 
     judge: Judged | None = None
@@ -68,6 +69,7 @@ def dyna_arm(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, hooks: Hooks)
     """An arm of Dyna; a model that does not train at all is not given either."""
     if dyna.model is None or not hparams.model_trains:
         hooks = hooks._replace(given=None)
+    getattr(hooks.given, "check", lambda: None)()
     if dyna.dream and hparams.num_real_first > config.num_episodes:
         said = f"is {hparams.num_real_first}: there are only {config.num_episodes} episodes"
         raise SettingError("hparams.num_real_first", said)
