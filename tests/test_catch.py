@@ -1,5 +1,6 @@
 """Catch against its rules played by hand and once more in plain Python."""
 
+import dataclasses
 from functools import cache, partial
 
 import gymnasium
@@ -17,8 +18,10 @@ from jaxdyna import rollout
 from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
 from jaxdyna.agents.reinforce import within_episode
 from jaxdyna.envs import Catch, CatchParams, FrameStack
-from jaxdyna.experiments.catch.acting import TUNED, arms
-from jaxdyna.fields import changed
+from jaxdyna.experiments.catch.acting import LEAN, TUNED, agent_of, arms, model_of
+from jaxdyna.experiments.maze import arms as maze
+from jaxdyna.experiments.maze.options import LEAN as MAZE_LEAN
+from jaxdyna.fields import changed, leaves
 from jaxdyna.models import PixelConfig, PixelHParams, pixels
 from jaxdyna.networks import LocalDynamics
 from jaxdyna.sweep import over_runs
@@ -308,6 +311,21 @@ def test_more_updates_learns_from_real_steps_alone():
     assert ways[0][1] == 4 * 2 + 3 * 2
     dreamed = zip(*(jax.tree.leaves(params) for params, _ in ways), strict=True)
     assert not all(bool((one == two).all()) for one, two in dreamed)
+
+
+def test_lean_is_that_of_the_maze():
+    """Nothing in it was chosen on Catch: but for the board's own, and for the end, which the Maze
+    has not, whatever both worlds have is the same.
+    """
+    ours, theirs = ({leaf.path: leaf.value for leaf in leaves(each)} for each in (LEAN, MAZE_LEAN))
+    common = ours.keys() & theirs.keys()
+    assert {path for path in common if ours[path] != theirs[path]} == {"hparams.env.max_steps"}
+    board = {"rows", "columns", "hparams.env.catch_reward", "hparams.env.miss_reward"}
+    networks = {"glimpse", "hidden", "widths", "reward_around"}
+    assert ours.keys() - common == board | networks
+    agent, model = agent_of(LEAN), maze.model_of(MAZE_LEAN)
+    assert agent.network.clone(num_actions=5) == maze.agent_of(MAZE_LEAN).network
+    assert model_of(LEAN) == dataclasses.replace(model, terminates=True) != model_of(TUNED)
 
 
 def test_reinforce_learns_where_one_reward_comes_at_the_end():

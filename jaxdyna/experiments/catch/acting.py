@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 from jaxdyna.agents import DQNConfig, DQNHParams, dqn
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
 from jaxdyna.envs import Catch, CatchParams, FrameStack
 from jaxdyna.experiments.engine import Experiment, Options
+from jaxdyna.experiments.report import frozen
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
 from jaxdyna.experiments.study import arms as study
@@ -30,13 +31,22 @@ class CatchOptions(Options):
         "dyna.num_episodes": "--episodes",
         "dyna.num_steps": "--rows",
         "hparams.env.max_steps": "--rows",
-        "agent.network": "the experiment",
+        "agent.network": "--glimpse and --hidden",
     }
 
     rows: int = setting(10, "of the board", at_least=3, at_most=1000)
     columns: int = setting(5, "of the board", at_least=2, at_most=1000)
+    glimpse: Literal[3, 5] = setting(3, "cells a side of what the agent's network looks at")
+    hidden: tuple[int, ...] = setting((64, 64), "widths of its hidden layers", at_least=1)
     widths: tuple[int, ...] = setting((16, 16), "channels of the model's 3x3 convolutions",
                                       at_least=1)  # fmt: skip
+    reward_around: bool = setting(
+        True, "whether the model judges a cell's reward by what is around it too, not by its "
+        "colours alone",
+    )  # fmt: skip
+    reward_weight: float = setting(
+        5.0, "weight of the reward's loss beside the summed one of the pixels", at_least=0
+    )
     dyna: DynaConfig = setting(factory=lambda: DynaConfig(
         num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
         num_real_first=10, model_updates=40, model_batch=16, dream_updates=1, dream_episodes=32,
@@ -61,27 +71,34 @@ class CatchOptions(Options):
 
 
 @cache
-def parts(game: Catch, agent: DQNConfig, widths: tuple[int, ...]) -> Dyna:
+def parts(game: Catch, agent: DQNConfig, model: PixelConfig) -> Dyna:
     """The parts of ``dyna``: one object, and so one program, for the same settings."""
-    env, shape = FrameStack(game), (game.rows, game.columns, 3)
-    config = PixelConfig(
-        LocalDynamics(3, widths), reward=LocalReward(around=True), reward_weight=5.0,
-        terminates=True,
-    )  # fmt: skip
-    model = pixels(shape, game.num_actions, config)
-    return frame_dyna(env, dqn(shape, game.num_actions, agent), model)
+    env, shape, actions = FrameStack(game), (game.rows, game.columns, 3), game.num_actions
+    return frame_dyna(env, dqn(shape, actions, agent), pixels(shape, actions, model))
+
+
+def agent_of(options: CatchOptions) -> DQNConfig:
+    """DQN's counts and network, with room for what a run can add to its replays and no more."""
+    network = GlimpseQ(Catch().num_actions, size=options.glimpse, hidden=options.hidden)
+    return replace(study.sized(options.agent, options.dyna), network=network)
+
+
+def model_of(options: CatchOptions) -> PixelConfig:
+    """The model's networks; it also predicts the end, which comes with the reward."""
+    reward, weight = LocalReward(around=options.reward_around), options.reward_weight
+    network = LocalDynamics(3, options.widths)
+    return PixelConfig(network, reward=reward, reward_weight=weight, terminates=True)
 
 
 def arms(options: CatchOptions) -> dict[str, study.Made]:
     """The standard arms."""
     game = Catch(options.rows, options.columns, frames=True)
-    network = GlimpseQ(game.num_actions, size=3, hidden=(64, 64))
-    agent = replace(study.sized(options.agent, options.dyna), network=network)
-    dyna = parts(game, agent, options.widths)
+    agent, model = agent_of(options), model_of(options)
+    dyna = parts(game, agent, model)
     return study.standard_arms(
         dyna, options.dyna, options.hparams, true_dyna(dyna),
         study.Hooks(judge, piece=10, block=options.block),
-        busier=parts(game, study.busy(agent, options.dyna), options.widths).agent,
+        busier=parts(game, study.busy(agent, options.dyna), model).agent,
     )  # fmt: skip
 
 
@@ -111,18 +128,34 @@ def final(record: Any) -> str:
 
 
 TUNED = CatchOptions(arms=("model_free", "dyna"), episodes=400, stop_after_solved=0)
+LEAN = changed(TUNED, {
+    "preset": "lean", "episodes": 150, "stop_after_solved": 50,
+    "glimpse": 5, "hidden": (128, 128), "widths": (32, 32), "reward_around": False,
+    "reward_weight": 1.0,
+    "dyna.num_real_first": 5, "dyna.model_updates": 300, "dyna.model_batch": 32,
+    "dyna.rare_share": 0.25, "dyna.dream_updates": 2, "dyna.dream_episodes": 400,
+    "dyna.dream_steps": 5,
+    "dyna.eval_every": 10, "dyna.eval_episodes": 20,
+    "agent": DQNConfig(
+        updates=100, fake_updates=400, fake_capacity=8000, explore_until_rewarded=True,
+    ),
+    "hparams.agent": DQNHParams(epsilon_hold=5.0, epsilon_episodes=2.0),
+    "hparams.model": PixelHParams(3e-3),
+})  # fmt: skip
+"""The Maze's ``lean`` as it is: nothing of it was chosen on Catch."""
 CATCH = Experiment(
     name="catch",
     title="Catch",
-    presets={"tuned": TUNED},
-    quick={"tuned": {"seeds": 2, "episodes": 120}},
+    presets={"tuned": TUNED, "lean": LEAN},
+    quick={"tuned": {"seeds": 2, "episodes": 120}, "lean": {"seeds": 2, "episodes": 60}},
     arms=arms,
     rule=lambda options: RULE,
-    describe=(describe,),
+    describe=(describe, frozen.describe(lambda options: RULE)),
     sections=(
         report.solving(lambda options: RULE),
         report.learning_curves(lambda options: RULE),
         report.thresholds(lambda options: RULE),
+        frozen.frozen(lambda options: RULE),
         report.endings(lambda options: RULE),
         report.behaviour(report.WRONG, 10),
         final, report.arms_said(study.SAID), report.settings, report.spent,
