@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from flax import linen as nn
 
-from jaxdyna.networks import layers
+from jaxdyna.networks import layers, q_networks
 from jaxdyna.networks.convolution import convolve, correlate, spread
+from jaxdyna.networks.q_networks import PlainQ
 
 
 def plain(x, kernel, padding):
@@ -73,6 +74,19 @@ def test_pictures_with_the_batch_last_are_the_same(size, channels, features):
     by_y, by_kernel = gradients(turned(large))
     for mine, theirs in zip((turned(by_y), by_kernel), expected(large), strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("patch", [1, 2])
+def test_plain_values_are_the_same_in_either_layout(monkeypatch, patch):
+    """A CPU's pictures have the batch last; the dense layer's inputs are in one order."""
+    network, x = PlainQ(3, (4, 5), 6, patch), jax.random.uniform(jax.random.key(0), (3, 12, 14, 2))
+    params = network.init(jax.random.key(1), x)
+    values = []
+    for axis in (0, 3):
+        for module in (layers, q_networks):
+            monkeypatch.setattr(module, "channel_axis", lambda axis=axis: axis)
+        values.append(network.apply(params, x))
+    np.testing.assert_allclose(*values, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("axis", [0, 3])

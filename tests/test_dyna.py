@@ -121,6 +121,35 @@ def test_rests_where_real_episode_and_last_dreams_were_safe(safe, updates, rests
     np.testing.assert_array_equal(idle, [False] * 2 + [rests] * 4)  # N = 2 dreams first
 
 
+def aged(acts):
+    """DYNA whose agent only counts its updates; so old, it takes action ``acts(age)``."""
+    return DYNA._replace(agent=AGENT._replace(
+        init=lambda key, hparams: jnp.int32(0),
+        act=lambda state, obs, key, hparams: jnp.int32(acts(state)),
+        update=lambda state, *_: (state + 1, {"loss": jnp.float32(0)}),
+    ))  # fmt: skip
+
+
+def test_safe_updates_must_be_in_a_row():
+    """Where every other update finds its dreams safe, none stops."""
+    config = replace(SMALL, num_episodes=2, dream_updates=5)
+    changing = aged(lambda age: age % 2)
+    now_and_then = changing._replace(safe=lambda episodes: (episodes.action[:, 0] == 0).all())
+    state, _ = train(now_and_then, config)
+    assert not state.dreams_safe and state.agent == 2 + 5
+    assert train(changing._replace(safe=lambda episodes: True), config)[0].agent == 2 + 2
+
+
+def test_an_unsafe_real_episode_wakes():
+    def safe(episodes):  # a real episode comes alone; dreams always are
+        return (episodes.action[0, 0] == 0) | (len(episodes.mask) > 1)
+
+    config = replace(SMALL, num_episodes=4, num_real_first=1, dream_updates=2)
+    # Ages at the real episodes are 0, 3 after two dreams, 4 after none, 7.
+    _, metrics = train(aged(lambda age: age == 4)._replace(safe=safe), config)
+    np.testing.assert_array_equal(np.isnan(metrics["model_loss"]), [False, True, False, True])
+
+
 def test_rare_share_decides_what_the_model_sees():
     def update(state, batch, key, hparams):
         return state, {"loss": batch.terminated.mean()}

@@ -301,7 +301,10 @@ def test_models_are_trained_kept_and_dreamed_in(tmp_path, capsys):
     assert (np.isfinite(results["arms"]["dyna_l2"]["final_return"]["per_seed"])).all()
     with pytest.raises(SystemExit, match="2"):  # before anything is played
         run(*play[:-1], str(tmp_path / "none"), "--arms", "model_free", "dyna")
-    assert "no model ours of these sizes" in capsys.readouterr().err
+    assert "no model ours is kept there" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        run(*play, "--widths", "2", "2", "3", "--arms", "dyna_l2")
+    assert "its models differ in --widths" in capsys.readouterr().err
 
 
 def test_arms_differ_by_what_their_names_say():

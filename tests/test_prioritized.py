@@ -174,7 +174,7 @@ def test_an_error_that_is_no_number_stops_nothing(error):
     np.testing.assert_allclose(shares[:8], expected, atol=0.01)
 
 
-def test_priorities_far_apart_are_all_drawn(monkeypatch):
+def test_priorities_far_apart_are_drawn_but_for_rounding(monkeypatch):
     """Where one of 200,000 is 100,000 times less likely than others, 2^23 heights are too few: by
     the last 64 of them 3,054 items are to be drawn; which is the last of them is rounding, since a
     sum of 4,000 is known to within 24 of them.

@@ -258,7 +258,8 @@ def _descend(
         return (weight * config.loss(errors)).mean(), errors
 
     (loss, errors), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.params)
-    # All are above 0. That they are asked lets priorities be written in place, not into a copy.
+    # `often` is never 0; but of this `where` XLA makes an array of its own, so that priorities are
+    # written in place, not into a copy of all (docs/development-log.md, Maze's `paper` on a CPU).
     errors = jnp.where(draws.often > 0, errors, 0.0)
     optimizer = config.optimizer(hparams.learning_rate)
     updates, opt_state = optimizer.update(grads, state.opt_state, state.params)

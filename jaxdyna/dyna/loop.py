@@ -114,7 +114,7 @@ def make_step(
         state = replace(state, agent=agent)
         if dyna.watch is not None:
             metrics |= dyna.watch(real, recorded, hparams.env)
-        awake = _awake(dyna, state, real)
+        awake = _awake(dyna, config, state, real)
         if _remembers(dyna, config):
             state = _remember(dyna, state, real, recorded, episode)
         if dyna.model is not None:
@@ -127,7 +127,7 @@ def make_step(
             model, training = where_needed(of_use, awake, axes, train, state.model)
             state = replace(state, model=model)
             metrics |= judgement | training
-        if dyna.dream is not None and config.dream_updates > 0:
+        if _dreams(dyna, config):
             dream = partial(_dream, dyna, config, axes, state, episode, key_dream, hparams)
             before = (state.agent, state.dreams_safe)
             (agent, safe), dreamed = where_needed(dreaming, awake, axes, dream, before)
@@ -143,13 +143,18 @@ def make_step(
     return step
 
 
-def _awake(dyna: Dyna, state: DynaState, real: Transition) -> jax.Array | bool:
+def _dreams(dyna: Dyna, config: DynaConfig) -> bool:
+    """Whether the policy learns of dreams at all."""
+    return dyna.dream is not None and config.dream_updates > 0
+
+
+def _awake(dyna: Dyna, config: DynaConfig, state: DynaState, real: Transition) -> jax.Array | bool:
     """Whether there may be something to learn of dreams: not where both the real episode and the
     last dreams were safe, since a policy that falls now and then often has a real one that is.
     """
     if dyna.safe is None:
         return True
-    return ~(dyna.safe(real) & (state.dreams_safe if dyna.dream is not None else True))
+    return ~(dyna.safe(real) & (state.dreams_safe if _dreams(dyna, config) else True))
 
 
 def _diverged(real: Transition, agent_loss: jax.Array, model: Any) -> jax.Array:

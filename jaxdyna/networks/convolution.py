@@ -144,7 +144,8 @@ convolve.defvjp(_with_residuals, _gradients)
 
 def channel_axis() -> int:
     """Where pictures have their channels between layers that need no other order: in front, the
-    batch last, ``[C, H, W, N]``, on a CPU; at the end, ``[N, H, W, C]``, elsewhere.
+    batch last, ``[C, H, W, N]``, on a CPU; at the end, ``[N, H, W, C]``, elsewhere. Of the default
+    backend: right, but slow, for what is then put on another device.
     """
     return 0 if jax.default_backend() == "cpu" else 3
 

@@ -75,7 +75,7 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
         dyna, alone = dyna._replace(dream=None), replace(config, dream_updates=0)
         return study.dyna_arm(dyna, alone, hparams, hooks)
 
-    def alone(agent: Callable[..., Agent], values: Any) -> Any:
+    def linear_arm(agent: Callable[..., Agent], values: Any) -> Any:
         return study.dyna_arm(linear(dyna, agent), config, replace(hparams, agent=values), hooks)
 
     def shown(agent: agents.ReinforceConfig = options.agent) -> Dyna:
@@ -96,10 +96,12 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
         "mpc_init": lambda: dreamless(unless_safe(shown(busy))),
         "mpc_init_dyna": lambda: study.dyna_arm(shown(), config, late, hooks),
         "mpc_clone": lambda: dreamless(with_agent(shown(), update=learn_nothing)),
-        "random_search": lambda: alone(
+        "random_search": lambda: linear_arm(
             agents.linear_search, agents.LinearSearchHParams(rule(options).threshold)
         ),
-        "linear_model": lambda: alone(agents.linear_regulator, agents.LinearRegulatorHParams()),
+        "linear_model": lambda: linear_arm(
+            agents.linear_regulator, agents.LinearRegulatorHParams()
+        ),
     }
 
 

@@ -54,8 +54,8 @@ class CartPoleOptions(Options):
         "same transitions for all models",
     )  # fmt: skip
     rest_when_safe: bool = setting(
-        False, "whether dreaming stops once no fake episode ends in a fall, and starts again only "
-        "after a real one that does: what works is left alone",
+        False, "whether dreaming stops once no fake episode of two updates in a row fell; then "
+        "model and policy learn of no dreams until a real episode falls: what works is left alone",
     )  # fmt: skip
     forget_every: int = setting(
         0, "real episodes after which the replay is emptied, as the authors' code does; 0 never",

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 
@@ -29,21 +29,31 @@ SAID = {
 """What the standard arms are."""
 
 
+class Given(Protocol):
+    """The parameters of models that were trained before: a run's is set to them before each
+    episode.
+    """
+
+    def __call__(self, runs: Runs) -> Any:
+        """``params [runs, ...]``."""
+
+    def check(self) -> Any:
+        """Raises a `ValueError` where there are none; asked before anything is played."""
+
+
 class Hooks(NamedTuple):
     """What an experiment wants to know of its arms' runs: of every one that is over, and of the
     first alone; ``piece`` and ``block`` as in `Work`.
 
     Attributes:
-        given: ``(runs) -> params [runs, ...]`` of models that were trained before: a run's is set
-            to them before each episode; ``check()``, where it has one, is asked before anything is
-            played. None: the model learns from what the run plays.
+        given: models that were trained before; None: a run's learns from what the run plays.
     """
 
     judge: Judged | None = None
     show: Judged | None = None
     piece: int = 50
     block: int = 1
-    given: Callable[[Runs], Any] | None = None
+    given: Given | None = None
 
 
 @cache
@@ -69,7 +79,8 @@ def dyna_arm(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, hooks: Hooks)
     """An arm of Dyna; a model that does not train at all is not given either."""
     if dyna.model is None or not hparams.model_trains:
         hooks = hooks._replace(given=None)
-    getattr(hooks.given, "check", lambda: None)()
+    if hooks.given is not None:
+        hooks.given.check()
     if dyna.dream and hparams.num_real_first > config.num_episodes:
         said = f"is {hparams.num_real_first}: there are only {config.num_episodes} episodes"
         raise SettingError("hparams.num_real_first", said)
