@@ -113,7 +113,7 @@ def linear_regulator(obs_shape: tuple[int, ...], num_actions: int, horizon: int 
     Args:
         obs_shape: of an observation; 0 in all is where it ought to stay.
         num_actions: how many actions there are.
-        horizon: steps that the regulator looks ahead.
+        horizon: steps that the regulator looks ahead; of CartPole 50 and 500 do as well.
     """
     check_shape(obs_shape=obs_shape)
     check_counts(num_actions=num_actions, horizon=horizon)

@@ -56,7 +56,8 @@ def about(record: Any) -> str:
     told = {"objects": "is told where each object is", "rgb": "sees pixels, by convolutions"}
     given = (
         f" Dreams are in the models of {options.models}, which were trained before, on episodes "
-        "that do not count, and learn nothing more." if options.models else ""
+        "that do not count, and learn nothing more; intervals are over agents, given these models."
+        if options.models else ""
     )  # fmt: skip
     return (
         f"An episode is {options.steps} steps of {world.FRAME_SKIP} frames of "
