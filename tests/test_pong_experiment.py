@@ -20,7 +20,7 @@ from jaxdyna.experiments.pong import PARTS, frames, trained
 from jaxdyna.experiments.pong.arms import arms, points
 from jaxdyna.experiments.pong.data import choose, collect, play, screens, states, take
 from jaxdyna.experiments.pong.guided import Guided, GuidedParams
-from jaxdyna.experiments.pong.options import TUNED
+from jaxdyna.experiments.pong.options import PAPER, TUNED
 from jaxdyna.experiments.pong.world import OBJECTS, RULES, game_of, in_channels, in_colours, middles
 from jaxdyna.experiments.report.sections import equal_episodes
 from jaxdyna.experiments.report.summaries import comparisons
@@ -276,13 +276,26 @@ def test_weights_are_kept_and_found_again(tmp_path):
     assert judged.pop("recall") == 1
     twice = {name: np.stack([leaf, leaf + 10]) for name, leaf in judged.items()}
     write_curves(tmp_path / "curves.npz", {"l2@mixed": twice})
-    found = trained.given(tmp_path, "l2", model)(SimpleNamespace(seed=np.array([4, 1])))
+    options = changed(PAPER, {"models": tmp_path})
+    found = trained.Given(options, "l2", model)(SimpleNamespace(seed=np.array([4, 1])))
     assert_same(found, jax.tree.map(lambda leaf: np.stack([leaf, leaf + 10]), params))
     wider = Trained(params | {"bias": jnp.ones(4)}, ())
     larger = DynamicsModel(lambda key, hparams: wider, None, None)
     for name, other in (("ours", model), ("l2", larger)):
-        with pytest.raises(InputError, match=f"no model {name} of these sizes"):
-            trained.given(tmp_path, name, other)(SimpleNamespace(seed=np.array([0])))
+        with pytest.raises(InputError, match=f"no model {name} is kept there"):
+            trained.Given(options, name, other).check()
+
+
+@pytest.mark.parametrize(
+    ("weight", "config", "said"),
+    [(np.nan, {}, "a model l2 diverged"), (1.0, {"frames": "objects"}, "differ in --frames")],
+)
+def test_weights_of_another_world_or_none_are_refused(weight, config, said, tmp_path):
+    model = DynamicsModel(lambda key, hparams: Trained(jnp.ones(3), ()), None, None)
+    write_curves(tmp_path / "curves.npz", {"l2@mixed": {"weights_0": np.full((2, 3), weight)}})
+    (tmp_path / "results.json").write_text(json.dumps({"config": config}))
+    with pytest.raises(InputError, match=said):
+        trained.Given(changed(PAPER, {"models": tmp_path}), "l2", model).check()
 
 
 @pytest.mark.slow

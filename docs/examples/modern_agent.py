@@ -90,8 +90,8 @@ def report(rows: list[dict[str, str]]) -> str:
         f"`docs/examples/modern_agent.py` with {SETTINGS}; CartPole-v1 cut at 200 steps. Real "
         f"steps until the policy as it stands first earns {ENOUGH:g} on average in {EPISODES} new "
         "episodes, looked at every so often (a dash: never), and what the last one earns.",
-        "| run | real steps | until greedy | until drawn | last: greedy | drawn | seconds |\n"
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| run | until greedy | until drawn | last: greedy | drawn | seconds |\n"
+        "| --- | --- | --- | --- | --- | --- |",
     ]
     for seed in sorted({int(row["seed"]) for row in rows}):
         mine = [row for row in rows if int(row["seed"]) == seed]
@@ -100,7 +100,7 @@ def report(rows: list[dict[str, str]]) -> str:
             for name in ("greedy_return", "sampled_return")
         ]
         last = mine[-1]
-        told = [seed, last["real_steps"], *first, last["greedy_return"], last["sampled_return"]]
+        told = [seed, *first, last["greedy_return"], last["sampled_return"]]
         lines[-1] += f"\n| {' | '.join(map(str, told))} | {last['run_seconds']} |"
     return "\n\n".join(lines) + "\n"
 
