@@ -277,13 +277,18 @@ def test_weights_are_kept_and_found_again(tmp_path):
     twice = {name: np.stack([leaf, leaf + 10]) for name, leaf in judged.items()}
     write_curves(tmp_path / "curves.npz", {"l2@mixed": twice})
     options = changed(PAPER, {"models": tmp_path})
-    found = trained.Given(options, "l2", model)(SimpleNamespace(seed=np.array([4, 1])))
+    found = trained.given(options, "l2", model)(SimpleNamespace(seed=np.array([4, 1])))
+    swept = changed(options, {"hparams.agent.learning_rate": 0.5})
+    assert trained.given(swept, "l2", model) == trained.given(options, "l2", model)
+    made = options.resolved().models_made
+    write_curves(tmp_path / "curves.npz", {"l2@mixed": {**twice, "more": np.ones(2)}})
+    assert None is not made != options.resolved().models_made  # so that no run is resumed with them
     assert_same(found, jax.tree.map(lambda leaf: np.stack([leaf, leaf + 10]), params))
     wider = Trained(params | {"bias": jnp.ones(4)}, ())
     larger = DynamicsModel(lambda key, hparams: wider, None, None)
     for name, other in (("ours", model), ("l2", larger)):
         with pytest.raises(InputError, match=f"no model {name} is kept there"):
-            trained.Given(options, name, other).check()
+            trained.given(options, name, other).check()
 
 
 @pytest.mark.parametrize(
@@ -295,7 +300,7 @@ def test_weights_of_another_world_or_none_are_refused(weight, config, said, tmp_
     write_curves(tmp_path / "curves.npz", {"l2@mixed": {"weights_0": np.full((2, 3), weight)}})
     (tmp_path / "results.json").write_text(json.dumps({"config": config}))
     with pytest.raises(InputError, match=said):
-        trained.Given(changed(PAPER, {"models": tmp_path}), "l2", model).check()
+        trained.given(changed(PAPER, {"models": tmp_path}), "l2", model).check()
 
 
 @pytest.mark.slow

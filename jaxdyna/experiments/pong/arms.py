@@ -15,7 +15,7 @@ from jaxdyna.envs import AtariParams, FrameStack
 from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.guided import guided
 from jaxdyna.experiments.pong.options import TRUE_OBJECTS, PongOptions
-from jaxdyna.experiments.pong.trained import Given
+from jaxdyna.experiments.pong.trained import given
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.frames import frame_dyna, true_dyna
 from jaxdyna.models import AdversarialHParams
@@ -52,7 +52,7 @@ def arms(options: PongOptions) -> dict[str, study.Made]:
     opposed = parts(game, agent, blurred, True)
 
     def hooks(name: str, dyna: Dyna) -> study.Hooks:
-        known = Given(options, name, dyna.model) if options.models and dyna.model else None
+        known = given(options, name, dyna.model)
         return study.Hooks(judge, show, piece=10, block=options.block, given=known)
 
     blurring = partial(study.dyna_arm, config=options.dyna, hparams=theirs, hooks=hooks("l2", l2))

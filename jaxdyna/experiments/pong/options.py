@@ -8,6 +8,7 @@ import optax
 
 from jaxdyna.agents import DQNConfig, DQNHParams
 from jaxdyna.dyna import DynaConfig, DynaHParams
+from jaxdyna.experiments.pong.trained import checksum
 from jaxdyna.experiments.pong.world import RULES, GameOptions
 from jaxdyna.fields import LARGEST, SettingError, changed, setting
 from jaxdyna.models import PixelHParams
@@ -34,6 +35,7 @@ class PongOptions(GameOptions):
         "agent.network": "--frames and --network",
         "hparams.env.max_steps": "--steps",
         "hparams.env.points_to_win": "--steps",
+        "models_made": "--models",
     }
 
     network: Literal["convolutions", "plain"] = setting(
@@ -48,6 +50,7 @@ class PongOptions(GameOptions):
         None, "folder of a record of --part frames --keep: dreams are in its models, which learn "
         "nothing more; None: models learn from the run's own episodes", everyday=True,
     )  # fmt: skip
+    models_made: str | None = setting(None, "which models those are: a checksum")
     weight_decay: float = setting(0.3, "of AdamW, for our model", at_least=0)
     paper_rate: float = setting(4e-3, "Adam's in the paper's models and the discriminator", above=0)
     dyna: DynaConfig = setting(factory=lambda: DynaConfig(
@@ -81,6 +84,7 @@ class PongOptions(GameOptions):
         learns = self.models is None
         return changed(self, {
             "dyna.model_updates": self.dyna.model_updates if learns else 0,
+            "models_made": checksum(self.models),
             "dyna.num_episodes": self.episodes, "dyna.num_steps": self.steps,
             "dyna.dream_steps": min(self.dyna.dream_steps or self.steps, self.steps),
             "hparams.env.max_steps": self.steps,

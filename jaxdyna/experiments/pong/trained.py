@@ -4,6 +4,7 @@ are.
 
 from dataclasses import dataclass
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -40,14 +41,18 @@ class Given:
     of its seed modulo how many there are. Equal ones are one program.
 
     Attributes:
-        options: of who dreams in it; ``options.models`` is the record's folder.
+        folder: the record's.
+        made: its `checksum`.
         name: of the model there, such as ``l2``.
         model: as it dreams.
+        same: what `SAME` are in whoever dreams in it.
     """
 
-    options: Any
+    folder: Path
+    made: str | None
     name: str
     model: DynamicsModel
+    same: tuple[Any, ...]
 
     def __call__(self, runs: Runs) -> Any:
         """``params [runs, ...]``."""
@@ -59,33 +64,51 @@ class Given:
         Raises:
             InputError: where there is none, of the same game and sizes, with finite weights.
         """
-        folder, name = self.options.models, self.name
         again = (
-            f"train it by --part frames --keep --policies {POLICY} --arms {name} with the same "
-            f"{', '.join(f'--{each}' for each in SAME)}"
+            f"train it by --part frames --keep --policies {POLICY} --arms {self.name} with the "
+            f"same {', '.join(f'--{each}' for each in SAME)}"
         )
-        results, curves = _read(folder)
-        config, ours = results.get("config", {}), fields.plain(self.options)
-        differ = [each for each in SAME if config.get(each, ours[each]) != ours[each]]
-        if differ:
-            raise InputError(
-                f"--models {folder}: its models differ in --{' --'.join(differ)}: {again}"
-            )
+
+        def refused(why: str) -> InputError:
+            return InputError(f"--models {self.folder}: {why}: {again}")
+
+        config, curves = _read(self.folder, self.made)
+        ours = dict(zip(SAME, fields.plain(self.same), strict=True))
+        if differ := [each for each in SAME if config.get(each, ours[each]) != ours[each]]:
+            raise refused(f"its models differ in --{' --'.join(differ)}")
         shapes: Any = jax.eval_shape(self.model.init, jax.random.key(0), AdversarialHParams())
         leaves, tree = jax.tree.flatten(shapes.params)
-        held = curves.get(f"{name}@{POLICY}", {})
+        held = curves.get(f"{self.name}@{POLICY}", {})
         arrays = [held.get(f"{KEPT}{number}", np.zeros(0)) for number in range(len(leaves))]
         if any(one.shape[1:] != leaf.shape for one, leaf in zip(arrays, leaves, strict=True)):
-            raise InputError(f"--models {folder}: no model {name} is kept there: {again}")
+            raise refused(f"no model {self.name} is kept there")
         if not all(np.isfinite(one).all() for one in arrays):
-            raise InputError(f"--models {folder}: a model {name} diverged: {again}")
+            raise refused(f"a model {self.name} diverged")
         return jax.tree.unflatten(tree, arrays)
 
 
+def given(options: Any, name: str, model: DynamicsModel | None) -> Given | None:
+    """The model of that name where ``options.models`` names a record; None without."""
+    if options.models is None or model is None:
+        return None
+    same = tuple(getattr(options, each) for each in SAME)
+    return Given(options.models, options.models_made, name, model, same)
+
+
+def checksum(folder: Path | None) -> str | None:
+    """Of a record's curves, the weights among them; None where there are none."""
+    path = folder and folder / "curves.npz"
+    return sha256(path.read_bytes()).hexdigest()[:16] if path and path.is_file() else None
+
+
 @cache
-def _read(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
+def _read(
+    folder: Path, made: str | None
+) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
+    """Settings and curves."""
+    del made  # another one is another record
     try:
         results = storage.read_json(folder / "results.json") or {}
-        return results, storage.read_curves(folder / "curves.npz")
+        return results.get("config", {}), storage.read_curves(folder / "curves.npz")
     except ValueError as error:
         raise InputError(f"--models {folder}: {error}") from None
