@@ -445,3 +445,32 @@ def test_a_given_model_is_dreamed_in_as_it_is():
         assert (curves["least"] == 1 + seed).all() and (curves["most"] == 1 + seed).all()
     assert dyna_arm(DYNA, config, hparams(model_trains=False), hooks).work.collect is None
     assert dyna_arm(MODEL_FREE, config, hparams(), hooks).work.collect is None
+
+
+def test_what_is_compiled_ahead_is_not_compiled_again_and_counted_once(monkeypatch):
+    made = []
+    whole = work._Program.__init__
+
+    def counted(self, played, *rest):
+        made.append(played)
+        time.sleep(0.2)
+        whole(self, played, *rest)
+
+    monkeypatch.setattr(work._Program, "__init__", counted)
+    one, other = making(2), making(3)
+    hosted = making(1, data=None, collect=collect)
+    runs = {played: runs_of([arm(played)], list(SEEDS), 0) for played in (one, other, hosted)}
+    engine = Engine(workers=2)
+    began = time.perf_counter()
+    engine.prepare(runs)
+    took = time.perf_counter() - began
+    assert set(made) == {one, other}  # not what waits for the host's data
+    played = {one: engine.play(one, runs[one]) for one in (one, other)}
+    again = engine.play(one, runs[one])
+    assert len(made) == 2
+    compile_s = [done.seconds.compile_s for done in played.values()]
+    assert sum(compile_s) == pytest.approx(took, rel=0.1)
+    assert again.seconds.compile_s < 0.1 * took
+    alone = Engine(workers=2).play(one, runs[one])
+    for ours, theirs in zip(played[one].curves, alone.curves, strict=True):
+        assert_same_run(ours, theirs)

@@ -21,7 +21,7 @@ from jaxdyna.fields import Leaf, SettingError, setting
 O = TypeVar("O")  # noqa: E741
 NOT_SWEPT = (
     "seeds", "seed", "arms", "out", "episodes", "stop_after_solved", "block", "preset", "quick",
-    "part", "resume", "fresh", "shard", "sweep", "from",
+    "part", "resume", "fresh", "shard", "sweep", "from", "cache",
 )  # fmt: skip
 
 
@@ -40,6 +40,9 @@ class Call:
     )
     from_: Annotated[Path | None, tyro.conf.arg(name="from")] = setting(
         None, "a results.json: all settings as there, but for those that are given"
+    )
+    cache: bool = setting(
+        True, "keep compiled programs in the user's cache folder, and use what is there"
     )
     shard: str | None = setting(
         None, "I/N: the I-th of N equal parts of the runs; `merge` puts them together"

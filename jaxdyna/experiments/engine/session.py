@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from jaxdyna import fields
-from jaxdyna.experiments.engine import cli, folders, storage
+from jaxdyna.experiments.engine import cli, folders, programs, storage
 from jaxdyna.experiments.engine.checkpoint import Store
 from jaxdyna.experiments.engine.experiment import (
     Entry,
@@ -43,7 +44,9 @@ from jaxdyna.experiments.engine.work import (
     Engine,
     Interrupted,
     Over,
+    Progress,
     Runs,
+    Work,
     joined,
     runs_of,
 )
@@ -51,6 +54,8 @@ from jaxdyna.fields import SettingError
 from jaxdyna.statistics import episodes_to_solve
 
 NOT_SETTINGS = ("arms",)
+COMPILED = 4
+"""Programs that are compiled at a time, at the most."""
 FROM = ("part", "preset")
 
 
@@ -135,7 +140,7 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
         out = out / "parts" / f"{number}-of-{of}"
     return Session(
         experiment, options, every, call.out or out, command, call.resume, call.fresh, call.shards,
-        sweep, family=parts[0].name,
+        sweep, family=parts[0].name, cache=call.cache,
     )  # fmt: skip
 
 
@@ -181,6 +186,7 @@ class Session:
         shard: ``(I, N)``.
         sweep: values by dotted path.
         family: the name of the experiment whose part this is.
+        cache: whether compiled programs are kept for later.
     """
 
     experiment: Experiment
@@ -193,6 +199,7 @@ class Session:
     shard: tuple[int, int] = (1, 1)
     sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     family: str = ""
+    cache: bool = True
     console: Console = field(
         default_factory=lambda: Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     )
@@ -205,6 +212,7 @@ class Session:
             ValueError: with what to change.
         """
         self.began, self.earlier = time.perf_counter(), None
+        self.share = stack.enter_context(programs.kept()) if self.cache else lambda: None
         self.curves: dict[str, Curves] = {}
         self.timing: dict[str, dict[str, float]] = {}
         self.measured: dict[str, Any] = {}
@@ -286,24 +294,35 @@ class Session:
             name: (max(arms[entry.name].units for entry in group), len(group) * len(self.seeds))
             for name, group in groups.items()
         }
+        works, names = {}, [*groups]
+        for name, group in groups.items():
+            played = [arms[entry.name] for entry in group]
+            works[name] = played[0].work, runs_of(played, self.seeds, self.options.seed)
+        at_once = min(storage.cores(), COMPILED)
         with Bars(self.console, totals) as bars:
-            for name, group in groups.items():
-                played = [arms[entry.name] for entry in group]
-                runs = runs_of(played, self.seeds, self.options.seed)
-                store = Store(self.checkpoints / _identifier(group, runs), self.console.print)
-                done = engine.play(
-                    played[0].work, runs, self._over(), store,
-                    lambda *said, name=name: bars.tell(name, *said),
-                )  # fmt: skip
-                length = max((len(run.get("real_return", ())) for run in done.curves), default=0)
-                bars.tell(name, "done", length or totals[name][0], len(done.curves))
-                each = len(self.seeds)
-                for number, entry in enumerate(group):
-                    rows = slice(number * each, (number + 1) * each)
-                    self.curves[entry.name] = joined(done.curves[rows])
-                self.timing[name] = done.seconds._asdict()
-                del done  # before the next arm's are made
-                self._write()
+            for ahead in (names[at : at + at_once] for at in range(0, len(names), at_once)):
+                for name in ahead:
+                    bars.tell(name, "compiling", 0, 0)
+                engine.prepare(dict(works[name] for name in ahead))
+                for name in ahead:
+                    tell = partial(bars.tell, name)
+                    self._play_group(engine, name, groups[name], *works[name], tell)
+
+    def _play_group(
+        self, engine: Engine, name: str, group: Sequence[Entry], work: Work, runs: Runs,
+        tell: Progress,
+    ) -> None:  # fmt: skip
+        store = Store(self.checkpoints / _identifier(group, runs), self.console.print)
+        done = engine.play(work, runs, self._over(), store, tell)
+        length = max((len(run.get("real_return", ())) for run in done.curves), default=0)
+        tell("done", length or int(runs.units.max()), len(done.curves))
+        each = len(self.seeds)
+        for number, entry in enumerate(group):
+            rows = slice(number * each, (number + 1) * each)
+            self.curves[entry.name] = joined(done.curves[rows])
+        self.timing[name] = done.seconds._asdict()
+        self.share()
+        self._write()
 
     def _over(self) -> Over | None:
         """When a run is over: so many episodes after it has solved."""

@@ -206,7 +206,7 @@ def made_with(modules: Iterable[str]) -> Results:
     python = {"jaxdyna": jaxdyna.__version__, "python": platform.python_version()}
     device = {"platform": jax.default_backend(), "x64": jax.config.jax_enable_x64}  # type: ignore[attr-defined]
     if device["platform"] == "cpu":
-        device["threads"] = int(os.environ.get("NPROC") or cores())
+        device["threads"] = threads()
     return {"versions": python | packages, "source": source(modules), "device": device}
 
 
@@ -280,6 +280,11 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def threads() -> int:
+    """Among which XLA divides sums on a CPU."""
+    return int(os.environ.get("NPROC") or cores())
 
 
 def peak_memory_gib() -> float:

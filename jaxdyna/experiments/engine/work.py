@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from queue import SimpleQueue
@@ -164,12 +164,15 @@ class Engine:
 
     Attributes:
         workers: blocks that are played at a time; by default one a core, or one a device.
+        programs: that were compiled.
+        prepared: the seconds that it took ahead of time.
         interrupted: set by Ctrl-C: every block is saved after its piece, then `Interrupted` raised.
     """
 
     workers: int = 0
     interrupted: threading.Event = field(default_factory=threading.Event)
     programs: dict[Any, _Program] = field(default_factory=dict)
+    prepared: dict[Work, float] = field(default_factory=dict)
 
     def play(
         self, work: Work, runs: Runs, over: Over | None = None, store: Store | None = None,
@@ -195,11 +198,8 @@ class Engine:
         say("compiling", 0, 0)
         began = time.perf_counter()
         where = places(self.workers)[: len(blocks)]
-        programs = {
-            place: self._program(work, runs, collected, place, where.count(place))
-            for place in set(where)
-        }
-        compile_s = time.perf_counter() - began
+        programs = self._programs(work, runs, collected, where)
+        compile_s = time.perf_counter() - began + self.prepared.pop(work, 0.0)
         tally = _Tally(say, len(runs.seed), store.seconds() if store else 0.0)
         failed = threading.Event()
         free: SimpleQueue[Any] = SimpleQueue()
@@ -229,14 +229,36 @@ class Engine:
         curves = [run for future in futures for run in future.result()]
         return Played(curves, Seconds(compile_s, tally.seconds()))
 
-    def _program(
-        self, work: Work, runs: Runs, collected: Any, place: jax.Device, at_once: int
-    ) -> _Program:
-        shapes = jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams)
-        known = (work, str(shapes), place)
-        if known not in self.programs:
-            self.programs[known] = _Program(work, runs, collected, place, at_once)
-        return self.programs[known]
+    def prepare(self, several: Mapping[Work, Runs]) -> None:
+        """Compiles at a time what is played next, which alone uses little more than a core; not
+        what waits for data that the host collects.
+
+        Raises:
+            InputError: where there is too little memory.
+        """
+
+        def compiled(work: Work) -> float:
+            began, runs = time.perf_counter(), several[work]
+            blocks = -(-len(runs.seed) // work.block)
+            self._programs(work, runs, None, places(self.workers)[:blocks])
+            return time.perf_counter() - began
+
+        works = [work for work in several if not work.collect]
+        began = time.perf_counter()
+        with ThreadPoolExecutor(max(len(works), 1)) as pool:
+            each = [*pool.map(compiled, works)]
+        share = (time.perf_counter() - began) / max(sum(each), 1e-9)
+        self.prepared |= {work: share * one for work, one in zip(works, each, strict=True)}
+
+    def _programs(
+        self, work: Work, runs: Runs, collected: Any, where: Sequence[jax.Device]
+    ) -> dict[jax.Device, _Program]:
+        shapes = str(jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams))
+        for place in set(where):
+            if (work, shapes, place) not in self.programs:
+                made = _Program(work, runs, collected, place, where.count(place))
+                self.programs[work, shapes, place] = made
+        return {place: self.programs[work, shapes, place] for place in set(where)}
 
 
 def places(workers: int = 0) -> list[jax.Device]:

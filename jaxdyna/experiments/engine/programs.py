@@ -1,0 +1,116 @@
+"""Compiled programs, kept by JAX's own compilation cache from one start to the next.
+
+JAX writes an entry in place and never writes it again: one that a killed process left half written
+stays, and two processes may write the same one at a time. So each process caches in a folder of its
+own, which begins with links to all entries that there are; what it has added, it puts beside them,
+each by one link, once it is whole. JAX's key does not hold what a program for a CPU depends on
+besides: the processor and the number of threads. So these name the folder.
+"""
+
+import fcntl
+import hashlib
+import os
+import platform
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import IO, Any
+
+import jax
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
+
+from jaxdyna.experiments.engine.storage import threads
+
+FOLDER = "JAXDYNA_CACHE"
+"""The environment variable that names another folder than the user's cache folder."""
+MOST_BYTES = 2**29
+DIRECTORY = "jax_compilation_cache_dir"
+HOW = {
+    "jax_persistent_cache_min_compile_time_secs": 0.1,
+    "jax_persistent_cache_enable_xla_caches": "none",  # their folder would be part of the key
+}
+ENTRIES, LOCK, PROCESS = "*-cache", "lock", "process-"
+
+
+def home() -> Path:
+    """The folder of all programs of this user."""
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(os.environ.get(FOLDER) or Path(cache) / "jaxdyna")
+
+
+def machine() -> str:
+    """A hash of this processor and of the threads into which programs are divided."""
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
+        about = [line for line in lines if line.startswith(("model name", "flags", "Features"))]
+        return hashlib.sha256("\n".join([*about, str(threads())]).encode()).hexdigest()[:16]
+    return f"{platform.machine()}-{platform.processor()}-{threads()}".replace("/", "-")
+
+
+@contextmanager
+def kept() -> Iterator[Callable[[], None]]:
+    """What is compiled meanwhile is kept, and what was kept is not compiled again; nothing of it
+    where JAX has been told of a cache of its own, or the folder cannot be written to. Gives what
+    shares the new entries with processes that start later, to be called while nothing is being
+    compiled; it is called in the end, too.
+    """
+    before = {name: getattr(jax.config, name) for name in (DIRECTORY, *HOW)}
+    own, held = (None, None) if before[DIRECTORY] else _begun(home() / machine())
+    if own is None or held is None:
+        yield lambda: None
+        return
+    with held:
+        try:
+            _configure({DIRECTORY: str(own), **HOW})
+            yield lambda: _share(own)
+        finally:
+            _configure(before)
+            _share(own)
+            shutil.rmtree(own, ignore_errors=True)
+
+
+def _configure(values: Mapping[str, Any]) -> None:
+    for name, value in values.items():
+        jax.config.update(name, value)
+    reset_cache()  # it looks at its folder once
+
+
+def _begun(folder: Path) -> tuple[Path | None, IO[str] | None]:
+    """A folder for this process, linked to all entries of ``folder``, and the lock that tells
+    others that the process lives; before that `_tidy`. Nothing where that cannot be.
+    """
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / LOCK).open("a") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            _tidy(folder)
+            own = Path(mkdtemp(prefix=PROCESS, dir=folder))
+            held = (own / LOCK).open("a")
+            fcntl.flock(held, fcntl.LOCK_EX)
+            for entry in folder.glob(ENTRIES):
+                (own / entry.name).hardlink_to(entry)
+        return own, held
+    return None, None
+
+
+def _tidy(folder: Path) -> None:
+    """Removes what killed processes left, and what was not used for the longest time, beyond
+    `MOST_BYTES`.
+    """
+    for left in folder.glob(f"{PROCESS}*"):
+        with suppress(OSError), (left / LOCK).open("a") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(left, ignore_errors=True)
+    room = MOST_BYTES
+    for entry in sorted(folder.glob(ENTRIES), key=lambda entry: -entry.stat().st_atime_ns):
+        room -= entry.stat().st_size
+        if room < 0:
+            entry.unlink(missing_ok=True)
+
+
+def _share(own: Path) -> None:
+    for entry in own.glob(ENTRIES):
+        with suppress(OSError):  # it is there already
+            (own.parent / entry.name).hardlink_to(entry)
