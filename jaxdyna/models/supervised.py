@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import chex
@@ -120,20 +122,18 @@ def supervised(
     action_size = num_actions if config.one_hot else 1
     spread = config.spread if config.normalise else 1.0
 
-    def encode(action: jax.Array) -> jax.Array:
-        if config.one_hot:
-            return jax.nn.one_hot(action, num_actions)
-        return action.astype(jnp.float32)[..., None]
-
     def raw_target(obs: jax.Array, next_obs: jax.Array) -> jax.Array:
         obs, next_obs = obs.astype(jnp.float32), next_obs.astype(jnp.float32)  # bytes would wrap
         return next_obs - obs if config.delta else next_obs
 
     def member(weights: Any, params: SupervisedParams, obs: jax.Array, action: jax.Array):
-        """Scaled state target ``[obs]``, reward and log odds of the end by one member."""
+        """Scaled state target ``[..., obs]``, reward and log odds of the end ``[...]`` by one
+        member. A batch goes in whole: vmapped, XLA would turn the gradient of each weight around.
+        """
         scaled = (obs - params.inputs.mean) / (spread * params.inputs.std)
-        output = network.apply(weights, jnp.concatenate([scaled, encode(action)]))
-        return output[:obs_size], output[obs_size], output[obs_size + 1]
+        done = jax.nn.one_hot(action, num_actions) if config.one_hot else action[..., None]
+        output: Any = network.apply(weights, jnp.concatenate([scaled, done], axis=-1))
+        return output[..., :obs_size], output[..., obs_size], output[..., obs_size + 1]
 
     def init(key: Key, hparams: SupervisedHParams) -> Trained:
         zeros = jnp.zeros(obs_size + action_size)
@@ -146,9 +146,9 @@ def supervised(
         params: SupervisedParams, obs: jax.Array, action: jax.Array, key: Key
     ) -> Prediction:
         chex.assert_shape([obs, action], [(obs_size,), ()])
-        scaled, reward, logit = jax.vmap(member, (0, None, None, None))(
-            params.network, params, obs, action
-        )
+        scaled, reward, logit = _over_members(
+            partial(member, params=params, obs=obs, action=action), config.ensemble
+        )(params.network)
         target = scaled * spread * params.targets.std + params.targets.mean
         next_obs = obs + target if config.delta else target
         said = next_obs, reward, jax.nn.sigmoid(logit)
@@ -179,9 +179,7 @@ def supervised(
         scaled_target = (target - params.targets.mean) / (spread * params.targets.std)
 
         def member_loss(weights, row):
-            output = jax.vmap(member, (None, None, 0, 0))(
-                weights, params, batch.obs[row], batch.action[row]
-            )
+            output = member(weights, params, batch.obs[row], batch.action[row])
             losses = jax.vmap(transition_loss)(
                 *output, scaled_target[row], batch.reward[row], batch.terminated[row]
             )
@@ -189,10 +187,9 @@ def supervised(
             mean = total / jnp.maximum(weight[row].sum(), 1e-6)
             return (total if config.sum_loss else mean), mean
 
-        rows = _resample(key, weight.shape[0], config.ensemble)
-
         def loss_fn(network_params):
-            losses, means = jax.vmap(member_loss)(network_params, rows)
+            rows = _resample(key, weight.shape[0], config.ensemble)
+            losses, means = _over_members(member_loss, config.ensemble)(network_params, rows)
             return losses.sum(), means.mean()
 
         (_, loss), grads = jax.value_and_grad(loss_fn, has_aux=True)(params.network)
@@ -203,6 +200,20 @@ def supervised(
         return where((weight > 0).any(), new, state), {"loss": loss}
 
     return DynamicsModel(init, predict, update, num_actions, SupervisedHParams)
+
+
+def _over_members(work: Callable[..., Any], members: int) -> Callable[..., Any]:
+    """``vmap``, without an axis where there is one member: with it XLA turns the gradient of each
+    weight around, and an update takes nearly twice as long.
+    """
+    if members > 1:
+        return jax.vmap(work)
+
+    def alone(*arguments: Any) -> Any:
+        found = work(*jax.tree.map(lambda leaf: leaf[0], arguments))
+        return jax.tree.map(lambda leaf: leaf[None], found)
+
+    return alone
 
 
 def _means(said: Any) -> Any:

@@ -29,6 +29,29 @@ class Sized(nn.Module):
         super().__post_init__()
 
 
+@jax.custom_vjp
+def product(x: jax.Array, kernel: jax.Array) -> jax.Array:
+    """``x @ kernel`` of a batch ``[..., in]`` and weights ``[in, out]``, with a gradient by the
+    input that reads the weights as they lie in memory: JAX's own reads them across, which on a CPU
+    takes more than twice as long.
+    """
+    return x @ kernel
+
+
+def _gradients(held: tuple[jax.Array, jax.Array], y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    x, kernel = held
+    rows, given = (one.reshape(-1, one.shape[-1]) for one in (x, y))
+    by_input = jax.lax.optimization_barrier(kernel @ given.T)  # else XLA turns it around again
+    return by_input.T.reshape(x.shape), rows.T @ given
+
+
+product.defvjp(lambda x, kernel: (product(x, kernel), (x, kernel)), _gradients)
+
+
+def _dense(x: jax.Array, kernel: jax.Array, *_: Any, **__: Any) -> jax.Array:
+    return product(x, kernel) if x.ndim > 1 else x @ kernel  # rows of a vmapped batch: JAX's own
+
+
 class MLP(Sized):
     """A multilayer perceptron; the last layer is linear.
 
@@ -51,10 +74,11 @@ class MLP(Sized):
         def initial(variance: float) -> Any:
             return nn.initializers.variance_scaling(variance, "fan_in", "uniform")
 
+        dense = partial(nn.Dense, dot_general=_dense)
         for width in self.features[:-1]:
-            x = nn.relu(nn.Dense(width, kernel_init=initial(self.weight_variance))(x))
+            x = nn.relu(dense(width, kernel_init=initial(self.weight_variance))(x))
         last = self.weight_variance if self.output_variance is None else self.output_variance
-        return nn.Dense(self.features[-1], kernel_init=initial(last))(x)
+        return dense(self.features[-1], kernel_init=initial(last))(x)
 
 
 class Convolution(Sized):
