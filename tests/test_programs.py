@@ -32,32 +32,6 @@ with programs.kept():
 """
 
 
-DRAW = """
-import sys, jax
-from jaxdyna.experiments.engine import programs
-if sys.argv[1] == "unrolled":
-    programs.unroll_draws()
-def draw(key):
-    key, *more = jax.random.split(key, 5)
-    return (jax.random.bits(key, (3, 5)), jax.random.bits(more[0], (7,), "uint8"),
-            jax.random.normal(more[1], (2, 3)), jax.random.key_data(jax.random.fold_in(key, 7)),
-            jax.random.permutation(more[2], 11), jax.random.bits(more[3], (0,)))
-run = jax.jit(jax.vmap(draw)).lower(jax.random.split(jax.random.key(3), 4)).compile()
-print([one.tolist() for one in run(jax.random.split(jax.random.key(3), 4))])
-print("while" in run.as_text())
-"""
-
-
-def test_a_draw_is_one_kernel_and_the_same():
-    said = {}
-    for how in ("unrolled", "as it is"):
-        line = [sys.executable, "-c", DRAW, how]
-        done = subprocess.run(line, capture_output=True, text=True, check=True)
-        said[how], loops = done.stdout.splitlines()
-        assert loops == str(how == "as it is")
-    assert said["unrolled"] == said["as it is"]
-
-
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """An empty folder for programs, with nothing of the tests' own cache."""

@@ -1,4 +1,4 @@
-"""How programs are compiled, and kept by JAX's own compilation cache from one start to the next.
+"""Compiled programs, kept by JAX's own compilation cache from one start to the next.
 
 JAX writes an entry in place and never writes it again: one that a killed process left half written
 stays, and two processes may write the same one at a time. So each process caches in a folder of its
@@ -19,10 +19,7 @@ from tempfile import mkdtemp
 from typing import IO, Any
 
 import jax
-import numpy as np
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
-from jax.extend.random import threefry2x32_p
-from jax.interpreters import mlir
 
 from jaxdyna.experiments.engine.storage import threads
 
@@ -34,8 +31,6 @@ HOW = {
     "jax_persistent_cache_min_compile_time_secs": 0.1,
     "jax_persistent_cache_enable_xla_caches": "none",  # their folder would be part of the key
 }
-ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
-PARITY = 0x1BD11BDA
 ENTRIES, LOCK, PROCESS = "*-cache", "lock", "process-"
 
 
@@ -52,27 +47,6 @@ def machine() -> str:
         about = [line for line in lines if line.startswith(("model name", "flags", "Features"))]
         return hashlib.sha256("\n".join([*about, str(threads())]).encode()).hexdigest()[:16]
     return f"{platform.machine()}-{platform.processor()}-{threads()}".replace("/", "-")
-
-
-def unroll_draws() -> None:
-    """From now on a draw of random numbers, the same ones, is one kernel on a CPU too: JAX makes a
-    loop of many there, which takes longer to run and no less to compile.
-    """
-    lowered = mlir.lower_fun(_threefry, multiple_results=True)
-    mlir.register_lowering(threefry2x32_p, lowered, platform="cpu")
-
-
-def _threefry(key: jax.Array, more: jax.Array, x: jax.Array, y: jax.Array) -> list[jax.Array]:
-    """Threefry-2x32 in 20 rounds (Salmon et al. 2011), of uint32 arrays of one shape."""
-    keys = key, more, key ^ more ^ np.uint32(PARITY)
-    x, y = x + keys[0], y + keys[1]
-    for number in range(5):
-        for turn in ROTATIONS[number % 2]:
-            x = x + y
-            y = x ^ ((y << np.uint32(turn)) | (y >> np.uint32(32 - turn)))
-        x = x + keys[(number + 1) % 3]
-        y = y + keys[(number + 2) % 3] + np.uint32(number + 1)
-    return [x, y]
 
 
 @contextmanager

@@ -212,7 +212,6 @@ class Session:
             ValueError: with what to change.
         """
         self.began, self.earlier = time.perf_counter(), None
-        programs.unroll_draws()
         self.share = stack.enter_context(programs.kept()) if self.cache else lambda: None
         self.curves: dict[str, Curves] = {}
         self.timing: dict[str, dict[str, float]] = {}
