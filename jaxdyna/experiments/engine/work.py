@@ -11,20 +11,20 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from queue import SimpleQueue
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.experiments.engine.checkpoint import BlockStore, Kept, Store
-from jaxdyna.experiments.engine.memory import afford, held, used_by
+from jaxdyna.experiments.engine.checkpoint import Kept, Store, stacked
+from jaxdyna.experiments.engine.memory import afford, held, spare, used_by
 from jaxdyna.experiments.engine.storage import cores
 from jaxdyna.sweep import over_runs
+from jaxdyna.trees import named_leaves
 from jaxdyna.types import Key
 
 Curves = dict[str, np.ndarray]
@@ -39,6 +39,9 @@ rest of its curves is NaN.
 """
 JUDGING = 2**32 - 1
 """Folded into the base seed's key: the runs' own keys are its first splits."""
+
+BEGUN = 8
+"""Blocks a worker that are begun at most, so that their runs can be packed together."""
 
 
 class Work(NamedTuple):
@@ -189,44 +192,43 @@ class Engine:
             InputError: where a checkpoint is another version's, or there is too little memory.
             Exception: of the first block that fails; the others are saved after their pieces.
         """
-        rows = np.arange(len(runs.seed))
-        blocks = [rows[first : first + work.block] for first in range(0, len(rows), work.block)]
+        count = len(runs.seed)
         collected = work.collect(runs) if work.collect else None
         say("compiling", 0, 0)
         began = time.perf_counter()
-        where = places(self.workers)[: len(blocks)]
+        where = places(self.workers)[: -(-count // work.block)]
         programs = {
             place: self._program(work, runs, collected, place, where.count(place))
             for place in set(where)
         }
         compile_s = time.perf_counter() - began
-        tally = _Tally(say, len(runs.seed), store.seconds() if store else 0.0)
+        tally = _Tally(say, count, store.seconds() if store else 0.0)
+        play = _Play(runs, runs.keys, runs.judging, collected, over, store, tally, {})
         failed = threading.Event()
-        free: SimpleQueue[Any] = SimpleQueue()
-        for place in where:
-            free.put(place)
 
         def stopped() -> bool:
             return failed.is_set() or self.interrupted.is_set()
 
-        def play_block(number: int) -> list[Curves]:
-            place = free.get()
+        pool = _Pool(play, programs, where, stopped)
+
+        def serve(place: jax.Device) -> None:
+            block = None
             try:
-                block = _Block(programs[place], runs, blocks[number], over, tally, stopped)
-                return block.play(collected, store.block(number) if store else None)
+                while block := pool.next(place, block):
+                    block.play_piece()
             except BaseException:
                 failed.set()
                 raise
             finally:
-                free.put(place)
+                pool.save()
 
-        with ThreadPoolExecutor(len(where)) as pool:
-            futures = [pool.submit(play_block, number) for number in range(len(blocks))]
-        errors = [error for future in futures if (error := future.exception()) is not None]
-        if errors:
-            real = [error for error in errors if not isinstance(error, Interrupted)]
-            raise (real or errors)[0]
-        curves = [run for future in futures for run in future.result()]
+        with ThreadPoolExecutor(len(where)) as threads:
+            futures = [threads.submit(serve, place) for place in where]
+        for future in futures:
+            future.result()
+        if len(play.curves) < count:
+            raise Interrupted
+        curves = [play.curves[row] for row in range(count)]
         return Played(curves, Seconds(compile_s, tally.seconds()))
 
     def _program(
@@ -319,91 +321,202 @@ def _loop(work: Work, state: Any, data: Any, first: Any, count: Any, hparams: An
     return jax.lax.fori_loop(0, count, unit, (state, kept))
 
 
-class _Block:
-    """Runs that are computed together, from their first unit to the end of the last of them."""
+class _Play(NamedTuple):
+    """What all blocks have in common; ``curves`` are of the runs that are over, by their row."""
+
+    runs: Runs
+    keys: Key
+    judging: Key
+    collected: Any
+    over: Over | None
+    store: Store | None
+    tally: _Tally
+    curves: dict[int, Curves]
+
+
+class _Pool:
+    """The runs that are not over, in blocks. A worker takes the least advanced one that waits on
+    its device, plays a piece of it and gives it back. Where those that wait at the same unit have
+    so few runs left that these fit into fewer blocks, they are packed anew. More are begun than
+    there are workers, so that some wait; nobody waits for another's piece.
+    """
 
     def __init__(
-        self, program: _Program, runs: Runs, rows: np.ndarray, over: Over | None, tally: _Tally,
+        self, play: _Play, programs: Mapping[jax.Device, _Program], where: Sequence[jax.Device],
         stopped: Callable[[], bool],
     ):  # fmt: skip
-        self.program, self.work, self.place = program, program.work, program.place
-        self.runs, self.over, self.tally, self.stopped = runs, over, tally, stopped
-        padded = np.concatenate([rows, np.repeat(rows[:1], self.work.block - len(rows))])
-        self.rows, self.padded = rows, padded
-        self.hparams = self._put(jax.tree.map(lambda leaf: leaf[padded], runs.hparams))
-        self.judging = runs.judging
-        self.over_at: dict[int, Curves] = {}
-        self.done, self.pieces = 0, Curves()
+        self.play, self.programs, self.where, self.stopped = play, programs, where, stopped
+        self.size, self.lock = programs[where[0]].work.block, threading.Lock()
+        self.waiting: dict[jax.Device, list[_Block]] = {place: [] for place in programs}
+        self.playing = dict.fromkeys(programs, 0)
+        units, store = play.runs.units, play.store
+        self.may_shrink = self.size > 1 and (play.over is not None or units.min() < units.max())
+        kept = {row: (store and store.load(row)) or Kept() for row in range(len(units))}
+        play.curves.update({row: run.metrics for row, run in kept.items() if run.over})
+        if played := sum(run.done for run in kept.values()):
+            play.tally.add(played, len(play.curves))
+        left = {row: run for row, run in kept.items() if not run.over}
+        self.unbegun = [  # those that have states first
+            block
+            for done in sorted({run.done for run in left.values()}, reverse=True)
+            for block in _blocks({row: run for row, run in left.items() if run.done == done},
+                                 self.size)
+        ]  # fmt: skip
 
-    def play(self, collected: Any, store: BlockStore | None) -> list[Curves]:
-        """What each of its runs came to."""
-        kept = store.load() if store else None
-        if kept is not None:
-            self.done, self.pieces, self.over_at = kept.done, kept.metrics, kept.over
-            self.tally.add(self.done * len(self.rows), len(self.over_at))
-        if self._left():
-            self._play_on(collected, store, kept)
-            if store:
-                store.save(Kept(self.done, None, {}, self.over_at), self.tally.seconds())
-        return [self.over_at[row] for row in range(len(self.rows))]
+    def next(self, place: jax.Device, played: _Block | None) -> _Block | None:
+        """The next one for a worker, who gives back what it has played; None where there is none.
+        Nobody plays once `stopped`.
+        """
+        with self.lock:
+            waiting = self.waiting[place]
+            if played is not None:
+                self.playing[place] -= 1
+                if played.live:
+                    waiting[:] = self._packed([*waiting, played], played.done)
+            if self.stopped():
+                return None
+            if not waiting:
+                self._begin(place)
+            waiting = waiting or max(self.waiting.values(), key=len)  # another device's
+            if not waiting:
+                return None
+            block = min(waiting, key=lambda block: block.done)
+            waiting.remove(block)
+            self.playing[place] += 1
+            program = self.programs[place]
+            return block if block.program is program else _Block(program, self.play, block.kept())
 
-    def _left(self) -> list[int]:
-        return [row for row in range(len(self.rows)) if row not in self.over_at]
+    def save(self) -> None:
+        """Saves those that wait, once it is `stopped`."""
+        while self.stopped():
+            with self.lock:
+                block = next((blocks.pop() for blocks in self.waiting.values() if blocks), None)
+            if block is None:
+                return
+            block.save()
 
-    def _play_on(self, collected: Any, store: BlockStore | None, kept: Kept | None) -> None:
-        if self.stopped():
-            raise Interrupted
-        keys, program = self._put(self.runs.keys[self.padded]), self.program
-        state = program.start(keys, self.hparams)
-        data = None
+    def _packed(self, waiting: list[_Block], done: int) -> list[_Block]:
+        """Of these those at unit ``done`` in as few as can be."""
+        same = [block for block in waiting if block.done == done]
+        if -(-sum(len(block.live) for block in same) // self.size) == len(same):
+            return waiting
+        kept = {row: run for block in same for row, run in block.kept().items()}
+        fewer = [_Block(same[0].program, self.play, runs) for runs in _blocks(kept, self.size)]
+        return [block for block in waiting if block.done != done] + fewer
+
+    def _begin(self, place: jax.Device) -> None:
+        """As many as memory affords; other devices get their share."""
+        program, workers = self.programs[place], self.where.count(place)
+        most = max(1, workers - self.playing[place])
+        if self.may_shrink:
+            more = BEGUN * workers - self.playing[place]
+            most = max(most, spare(used_by(program.piece), more, place))
+        for _ in range(min(most, -(-len(self.unbegun) // len(self.programs)))):
+            self.waiting[place].append(_Block(program, self.play, self.unbegun.pop(0)))
+
+
+def _blocks(kept: Mapping[int, Kept], size: int) -> list[dict[int, Kept]]:
+    rows = sorted(kept)
+    parts = (rows[first : first + size] for first in range(0, len(rows), size))
+    return [{row: kept[row] for row in part} for part in parts]
+
+
+class _Block:
+    """Runs that are computed together, all of them at the same unit; filled up with copies.
+
+    Attributes:
+        live: the lane of each run that is not over.
+        done: units played.
+        before: the runs as they were kept, until they are on the device.
+    """
+
+    def __init__(self, program: _Program, play: _Play, kept: dict[int, Kept]):
+        self.program, self.work, self.play = program, program.work, play
+        first = next(iter(kept))
+        self.rows = np.array([*kept, *[first] * (self.work.block - len(kept))])
+        self.live = {row: lane for lane, row in enumerate(kept)}
+        self.done, self.saved_s = kept[first].done, time.perf_counter()
+        self.before = kept
+
+    def kept(self) -> dict[int, Kept]:
+        """Its runs that are not over, on the host."""
+        if self.before:
+            return self.before
+        leaves = named_leaves(self.state)
+        return {
+            row: Kept(self.done, *({name: values[lane] for name, values in arrays.items()}
+                                   for arrays in (leaves, self.pieces)))
+            for row, lane in self.live.items()
+        }  # fmt: skip
+
+    def save(self) -> None:
+        """Writes a checkpoint of each of its runs."""
+        if self.play.store and self.done:
+            for row, run in self.kept().items():
+                self.play.store.save(row, run, self.play.tally.seconds())
+        self.saved_s = time.perf_counter()
+
+    def _begin(self) -> None:
+        program, runs = self.program, self.play.runs
+        self.hparams = self._put(jax.tree.map(lambda leaf: leaf[self.rows], runs.hparams))
+        self.state = program.start(self._put(self.play.keys[self.rows]), self.hparams)
+        self.data, self.pieces = None, Curves()
         if program.data is not None:
-            data = program.data(self._put(self.runs.keys[self.padded]), self.hparams)
-        if collected is not None:
-            data = self._put(jax.tree.map(lambda leaf: leaf[self.padded], collected))
-        if kept is not None:
-            state = kept.into(state, self.place)
-        while self._left():
-            ends = [int(self.runs.units[self.rows[row]]) for row in self._left()]
-            count = min(self.work.piece - self.done % self.work.piece, min(ends) - self.done)
-            first, number = self._put((np.int32(self.done), np.int32(count)))
-            state, metrics = program.piece(state, data, first, number, self.hparams)
-            new = {name: _said(values)[:, :count] for name, values in metrics.items()}
-            self.pieces = {
-                name: np.concatenate([self.pieces[name], values], axis=1) if self.done else values
-                for name, values in new.items()
-            }
-            self.done += count
-            ended = self._ended()
-            for row in ended:
-                self.over_at[row] = self._judged(row, state, data)
-            self.tally.add(count * len(self.rows), len(ended))
-            stop = self.stopped()
-            if store and self._left() and (stop or store.due()):
-                saved = Kept(self.done, state, self.pieces, self.over_at)
-                store.save(saved, self.tally.seconds())
-            if stop and self._left():
-                raise Interrupted
+            self.data = program.data(self._put(self.play.keys[self.rows]), self.hparams)
+        if self.play.collected is not None:
+            self.data = self._put(jax.tree.map(lambda leaf: leaf[self.rows], self.play.collected))
+        if self.done:
+            kept = [self.before[row] for row in self.rows]
+            self.state = stacked([run.state for run in kept], self.state, program.place)
+            self.pieces = {name: np.stack([run.metrics[name] for run in kept])
+                           for name in kept[0].metrics}  # fmt: skip
+        self.before = {}
+
+    def play_piece(self) -> None:
+        """Up to the next unit at which a run of it may be over."""
+        if self.before:
+            self._begin()
+        end = min(int(self.play.runs.units[row]) for row in self.live)
+        count = min(self.work.piece - self.done % self.work.piece, end - self.done)
+        first, number = self._put((np.int32(self.done), np.int32(count)))
+        self.state, metrics = self.program.piece(self.state, self.data, first, number, self.hparams)
+        new = {name: _said(values)[:, :count] for name, values in metrics.items()}
+        self.pieces = {
+            name: np.concatenate([self.pieces[name], values], axis=1) if self.done else values
+            for name, values in new.items()
+        }
+        self.done += count
+        played, ended = len(self.live), self._ended()
+        for row in ended:
+            curves = self._judged(row, self.live.pop(row))
+            if self.play.store:
+                over = Kept(self.done, metrics=curves, over=True)
+                self.play.store.save(row, over, self.play.tally.seconds())
+            self.play.curves[row] = curves
+        self.play.tally.add(count * played, len(ended))
+        if self.live and self.play.store and self.play.store.due(self.saved_s):
+            self.save()
 
     def _ended(self) -> list[int]:
-        """The rows of runs that have just come to their ends. Looked at after whole pieces and
-        after a run's own last unit only, so that it does not matter who else is in the block.
+        """Its runs that have just come to their ends. Looked at after whole pieces and after a
+        run's own last unit only, so that it does not matter who else is in the block.
         """
-        over = np.zeros(len(self.padded), bool)
+        over = np.zeros(len(self.rows), bool)
         if self.done % self.work.piece == 0:
-            if self.over is not None:
-                over = self.over(self.pieces)
+            if self.play.over is not None:
+                over = self.play.over(self.pieces)
             if DIVERGED in self.pieces:
                 over = over | self.pieces[DIVERGED].any(1)
-        units = self.runs.units[self.padded]
-        return [row for row in self._left() if over[row] or units[row] == self.done]
+        units = self.play.runs.units
+        return [row for row, lane in self.live.items() if over[lane] or units[row] == self.done]
 
-    def _judged(self, row: int, state: Any, data: Any) -> Curves:
+    def _judged(self, row: int, lane: int) -> Curves:
         """The curves of a run up to now, and what is judged of it."""
-        first = self.runs.seed[self.rows[row]] == 0
-        broken = self.pieces[DIVERGED][row] if DIVERGED in self.pieces else np.zeros(1)
+        first = self.play.runs.seed[row] == 0
+        broken = self.pieces[DIVERGED][lane] if DIVERGED in self.pieces else np.zeros(1)
         end = broken.argmax() + 1 if broken.any() else self.done
         curves = {
-            name: values[row][:end]
+            name: values[lane][:end]
             for name, values in self.pieces.items()
             if first or not name.startswith(SHOWN)
         }
@@ -411,8 +524,8 @@ class _Block:
                   if name == "judge" or (first and not broken.any())]  # fmt: skip
         if not wanted:
             return curves
-        own, own_data, hparams = self.program.row((state, data, self.hparams), row)
-        key = self.judging[self.rows[row]]
+        own, own_data, hparams = self.program.row((self.state, self.data, self.hparams), lane)
+        key = self.play.judging[row]
         for name in wanted:
             with self.program.lock:  # two threads would compile it twice
                 judged = self.program.judging[name](
@@ -427,7 +540,7 @@ class _Block:
         return curves
 
     def _put(self, tree: Any) -> Any:
-        return jax.device_put(tree, self.place)
+        return jax.device_put(tree, self.program.place)
 
 
 def _said(values: Any) -> np.ndarray:
