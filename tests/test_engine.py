@@ -528,7 +528,7 @@ def test_dyna_is_the_same_where_runs_leave():
     made = dyna_arm(DYNA, replace(SMALL, num_episodes=16), hparams(), Hooks(piece=2, block=3))
 
     def over(curves):
-        return (curves["real_return"][:, 1::2] % 7 == 0).any(1)
+        return (curves["real_return"][:, 1::2] < 14).any(1)
 
     whole, fewer = pieces([made], MANY, over)
     alone, programs, count = {}, {}, 0

@@ -82,6 +82,7 @@ class Store:
     def __init__(self, folder: Path, warn: Callable[[str], None] = print):
         self.folder, self.warn = folder, warn
         self.began, self.writing = time.perf_counter(), 0.0
+        self.newest: dict[int, tuple[int, bool]] = {}
 
     def due(self, saved: float) -> bool:
         """Whether what was saved then should be saved again: writing takes a small share of the
@@ -92,11 +93,13 @@ class Store:
         return affords and now - saved > CHECKPOINT_SECONDS
 
     def save(self, number: int, run: Kept, seconds: float) -> None:
-        """Writes a run's, of ``seconds`` played by all.
+        """Writes a run's, unless it is there; ``seconds`` were played by all.
 
         Raises:
             InputError: where it cannot be written; those before it stay.
         """
+        if self.newest.get(number) == (run.done, run.over):
+            return
         began, (path, before) = time.perf_counter(), self._paths(number)
         arrays = {f"metrics/{name}": values for name, values in run.metrics.items()}
         arrays |= {f"state/{name}": values for name, values in run.state.items()}
@@ -105,13 +108,16 @@ class Store:
         with suppress(OSError):  # where it cannot be made, nor can the file
             self.folder.mkdir(exist_ok=True)
         write_arrays(path, arrays, before=before)
+        self.newest[number] = run.done, run.over
         self.writing += time.perf_counter() - began
 
     def load(self, number: int) -> Kept | None:
         """A run's newest that is whole; None where there is none: it begins anew."""
         for path in filter(Path.exists, self._paths(number)):
             try:
-                return self._read(path)
+                run = self._read(path)
+                self.newest[number] = run.done, run.over
+                return run
             except ValueError as error:
                 self.warn(f"{error}: going on from an earlier state")
         return None
