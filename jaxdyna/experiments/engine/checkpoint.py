@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.experiments.engine.storage import InputError, read_arrays, write_arrays
-from jaxdyna.trees import is_key, raw
+from jaxdyna.trees import is_key, raw, stack
 
 Curves = dict[str, np.ndarray]
 CHECKPOINT_SECONDS = 20.0
@@ -51,7 +50,7 @@ def stacked(states: Sequence[Curves], like: Any, place: Any) -> Any:
     """
     named, structure = jax.tree_util.tree_flatten_with_path(like)
     wanted = {jax.tree_util.keystr(path): example for path, example in named}
-    kept = {name: np.stack([state[name] for state in states]) for name in states[0]}
+    kept = stack(states)
     for name in (*wanted, *kept):
         now, then = (_sort(raw(tree[name])) if name in tree else "not there"
                      for tree in (wanted, kept))  # fmt: skip
@@ -61,7 +60,7 @@ def stacked(states: Sequence[Curves], like: Any, place: Any) -> Any:
                 "run without --resume"
             )
     leaves = [
-        jax.random.wrap_key_data(jnp.asarray(kept[name]), impl=jax.random.key_impl(example))
+        jax.random.wrap_key_data(kept[name], impl=jax.random.key_impl(example))
         if is_key(example)
         else kept[name]
         for name, example in wanted.items()

@@ -51,14 +51,7 @@ def afford(need: int, block: int, at_once: int, place: jax.Device) -> None:
 
 
 def spare(need: int, most: int, place: jax.Device) -> int:
-    """How many blocks more a device holds, ``most`` at the most, where half of what is free is left
-    alone.
-
-    Args:
-        need: bytes of a block while it is played.
-        most: blocks that are asked for.
-        place: the device.
-    """
+    """How many blocks of ``need`` bytes fit into half of a device's free memory, up to ``most``."""
     free = available(place)
     return most if free is None or need == 0 else min(most, free // (2 * need))
 

@@ -3,7 +3,8 @@
 A run is a seed of a setting. Its numbers come from its own key, hyper-parameters and data, and from
 the size of its block alone: not from who is computed beside it, nor where, nor from what was played
 before. Every block is played by the one program that was compiled for its size; on a CPU by as many
-threads as there are cores, elsewhere on every device in turn.
+threads as there are cores, elsewhere on every device in turn. So runs may be dealt out anew between
+two pieces: as some are over, the others are fewer blocks.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import jax
@@ -24,7 +26,7 @@ from jaxdyna.experiments.engine.checkpoint import Kept, Store, stacked
 from jaxdyna.experiments.engine.memory import afford, held, spare, used_by
 from jaxdyna.experiments.engine.storage import cores
 from jaxdyna.sweep import over_runs
-from jaxdyna.trees import named_leaves
+from jaxdyna.trees import named_leaves, stack
 from jaxdyna.types import Key
 
 Curves = dict[str, np.ndarray]
@@ -203,32 +205,14 @@ class Engine:
         }
         compile_s = time.perf_counter() - began
         tally = _Tally(say, count, store.seconds() if store else 0.0)
-        play = _Play(runs, runs.keys, runs.judging, collected, over, store, tally, {})
-        failed = threading.Event()
-
-        def stopped() -> bool:
-            return failed.is_set() or self.interrupted.is_set()
-
-        pool = _Pool(play, programs, where, stopped)
-
-        def serve(place: jax.Device) -> None:
-            block = None
-            try:
-                while block := pool.next(place, block):
-                    block.play_piece()
-            except BaseException:
-                failed.set()
-                raise
-            finally:
-                pool.save()
-
+        pool = _Pool(runs, collected, over, store, tally, programs, where, self.interrupted)
         with ThreadPoolExecutor(len(where)) as threads:
-            futures = [threads.submit(serve, place) for place in where]
-        for future in futures:
-            future.result()
-        if len(play.curves) < count:
+            workers = [threads.submit(pool.serve, place) for place in where]
+        for worker in workers:
+            worker.result()
+        if len(pool.curves) < count:
             raise Interrupted
-        curves = [play.curves[row] for row in range(count)]
+        curves = [pool.curves[row] for row in range(count)]
         return Played(curves, Seconds(compile_s, tally.seconds()))
 
     def _program(
@@ -321,59 +305,66 @@ def _loop(work: Work, state: Any, data: Any, first: Any, count: Any, hparams: An
     return jax.lax.fori_loop(0, count, unit, (state, kept))
 
 
-class _Play(NamedTuple):
-    """What all blocks have in common; ``curves`` are of the runs that are over, by their row."""
+@dataclass
+class _Pool:
+    """All runs of a play. Those that are not over are in blocks: a worker takes the least advanced
+    of those that wait on its device, plays a piece of it and gives it back. Where those that wait
+    at the same unit have so few runs left that these fit into fewer blocks, they are packed anew.
+    More are begun than there are workers, so that some wait; nobody waits for another's piece.
+    """
 
     runs: Runs
-    keys: Key
-    judging: Key
     collected: Any
     over: Over | None
     store: Store | None
     tally: _Tally
-    curves: dict[int, Curves]
+    programs: Mapping[jax.Device, _Program]
+    where: Sequence[jax.Device]
+    interrupted: threading.Event
 
-
-class _Pool:
-    """The runs that are not over, in blocks. A worker takes the least advanced one that waits on
-    its device, plays a piece of it and gives it back. Where those that wait at the same unit have
-    so few runs left that these fit into fewer blocks, they are packed anew. More are begun than
-    there are workers, so that some wait; nobody waits for another's piece.
-    """
-
-    def __init__(
-        self, play: _Play, programs: Mapping[jax.Device, _Program], where: Sequence[jax.Device],
-        stopped: Callable[[], bool],
-    ):  # fmt: skip
-        self.play, self.programs, self.where, self.stopped = play, programs, where, stopped
-        self.size, self.lock = programs[where[0]].work.block, threading.Lock()
-        self.waiting: dict[jax.Device, list[_Block]] = {place: [] for place in programs}
-        self.playing = dict.fromkeys(programs, 0)
-        units, store = play.runs.units, play.store
-        self.may_shrink = self.size > 1 and (play.over is not None or units.min() < units.max())
+    def __post_init__(self) -> None:
+        self.lock, self.failed = threading.Lock(), threading.Event()
+        self.keys, self.judging = self.runs.keys, self.runs.judging
+        self.size, units = self.programs[self.where[0]].work.block, self.runs.units
+        self.may_shrink = self.size > 1 and (self.over is not None or units.min() < units.max())
+        store = self.store
         kept = {row: (store and store.load(row)) or Kept() for row in range(len(units))}
-        play.curves.update({row: run.metrics for row, run in kept.items() if run.over})
+        self.curves = {row: run.metrics for row, run in kept.items() if run.over}
         if played := sum(run.done for run in kept.values()):
-            play.tally.add(played, len(play.curves))
-        left = {row: run for row, run in kept.items() if not run.over}
-        self.unbegun = [  # those that have states first
-            block
-            for done in sorted({run.done for run in left.values()}, reverse=True)
-            for block in _blocks({row: run for row, run in left.items() if run.done == done},
-                                 self.size)
-        ]  # fmt: skip
+            self.tally.add(played, len(self.curves))
+        self.unbegun = _blocks({row: run for row, run in kept.items() if not run.over}, self.size)
+        self.waiting: dict[jax.Device, list[_Block]] = {place: [] for place in self.programs}
+        self.playing = dict.fromkeys(self.programs, 0)
 
-    def next(self, place: jax.Device, played: _Block | None) -> _Block | None:
-        """The next one for a worker, who gives back what it has played; None where there is none.
-        Nobody plays once `stopped`.
-        """
+    def serve(self, place: jax.Device) -> None:
+        """Plays until nothing is left for this worker; stopped, it saves what waits."""
+        block = None
+        try:
+            while block := self._next(place, block):
+                block.play()
+        except BaseException:
+            self.failed.set()
+            raise
+        finally:
+            while self._stopped() and (block := self._any()):
+                block.save()
+
+    def _stopped(self) -> bool:
+        return self.failed.is_set() or self.interrupted.is_set()
+
+    def _any(self) -> _Block | None:
+        with self.lock:
+            return next((blocks.pop() for blocks in self.waiting.values() if blocks), None)
+
+    def _next(self, place: jax.Device, played: _Block | None) -> _Block | None:
+        """The next for a worker that gives back what it has played; None where there is none."""
         with self.lock:
             waiting = self.waiting[place]
             if played is not None:
                 self.playing[place] -= 1
                 if played.live:
                     waiting[:] = self._packed([*waiting, played], played.done)
-            if self.stopped():
+            if self._stopped():
                 return None
             if not waiting:
                 self._begin(place)
@@ -384,16 +375,7 @@ class _Pool:
             waiting.remove(block)
             self.playing[place] += 1
             program = self.programs[place]
-            return block if block.program is program else _Block(program, self.play, block.kept())
-
-    def save(self) -> None:
-        """Saves those that wait, once it is `stopped`."""
-        while self.stopped():
-            with self.lock:
-                block = next((blocks.pop() for blocks in self.waiting.values() if blocks), None)
-            if block is None:
-                return
-            block.save()
+            return block if block.program is program else _Block(self, program, block.kept())
 
     def _packed(self, waiting: list[_Block], done: int) -> list[_Block]:
         """Of these those at unit ``done`` in as few as can be."""
@@ -401,7 +383,7 @@ class _Pool:
         if -(-sum(len(block.live) for block in same) // self.size) == len(same):
             return waiting
         kept = {row: run for block in same for row, run in block.kept().items()}
-        fewer = [_Block(same[0].program, self.play, runs) for runs in _blocks(kept, self.size)]
+        fewer = [_Block(self, same[0].program, runs) for runs in _blocks(kept, self.size)]
         return [block for block in waiting if block.done != done] + fewer
 
     def _begin(self, place: jax.Device) -> None:
@@ -412,12 +394,14 @@ class _Pool:
             more = BEGUN * workers - self.playing[place]
             most = max(most, spare(used_by(program.piece), more, place))
         for _ in range(min(most, -(-len(self.unbegun) // len(self.programs)))):
-            self.waiting[place].append(_Block(program, self.play, self.unbegun.pop(0)))
+            self.waiting[place].append(_Block(self, program, self.unbegun.pop(0)))
 
 
 def _blocks(kept: Mapping[int, Kept], size: int) -> list[dict[int, Kept]]:
-    rows = sorted(kept)
-    parts = (rows[first : first + size] for first in range(0, len(rows), size))
+    """Runs at the same unit, so many of them together; the most advanced first."""
+    units = sorted({run.done for run in kept.values()}, reverse=True)
+    rows = ([row for row in sorted(kept) if kept[row].done == done] for done in units)
+    parts = (some[first : first + size] for some in rows for first in range(0, len(some), size))
     return [{row: kept[row] for row in part} for part in parts]
 
 
@@ -430,53 +414,51 @@ class _Block:
         before: the runs as they were kept, until they are on the device.
     """
 
-    def __init__(self, program: _Program, play: _Play, kept: dict[int, Kept]):
-        self.program, self.work, self.play = program, program.work, play
-        first = next(iter(kept))
-        self.rows = np.array([*kept, *[first] * (self.work.block - len(kept))])
+    def __init__(self, pool: _Pool, program: _Program, kept: dict[int, Kept]):
+        self.pool, self.program, self.work, self.before = pool, program, program.work, kept
         self.live = {row: lane for lane, row in enumerate(kept)}
-        self.done, self.saved_s = kept[first].done, time.perf_counter()
-        self.before = kept
+        rows = [*kept]
+        self.rows = np.array(rows + rows[:1] * (self.work.block - len(rows)))
+        self.done, self.saved_s = kept[rows[0]].done, time.perf_counter()
 
     def kept(self) -> dict[int, Kept]:
         """Its runs that are not over, on the host."""
         if self.before:
             return self.before
-        leaves = named_leaves(self.state)
+        arrays = named_leaves(self.state), self.pieces
         return {
-            row: Kept(self.done, *({name: values[lane] for name, values in arrays.items()}
-                                   for arrays in (leaves, self.pieces)))
+            row: Kept(self.done, *jax.tree.map(itemgetter(lane), arrays))
             for row, lane in self.live.items()
-        }  # fmt: skip
+        }
 
     def save(self) -> None:
         """Writes a checkpoint of each of its runs."""
-        if self.play.store and self.done:
+        if self.pool.store and self.done:
             for row, run in self.kept().items():
-                self.play.store.save(row, run, self.play.tally.seconds())
+                self.pool.store.save(row, run, self.pool.tally.seconds())
         self.saved_s = time.perf_counter()
 
     def _begin(self) -> None:
-        program, runs = self.program, self.play.runs
-        self.hparams = self._put(jax.tree.map(lambda leaf: leaf[self.rows], runs.hparams))
-        self.state = program.start(self._put(self.play.keys[self.rows]), self.hparams)
+        """Puts its runs on the device."""
+        pool, program = self.pool, self.program
+        self.hparams = self._put(jax.tree.map(itemgetter(self.rows), pool.runs.hparams))
+        self.state = program.start(self._put(pool.keys[self.rows]), self.hparams)
         self.data, self.pieces = None, Curves()
         if program.data is not None:
-            self.data = program.data(self._put(self.play.keys[self.rows]), self.hparams)
-        if self.play.collected is not None:
-            self.data = self._put(jax.tree.map(lambda leaf: leaf[self.rows], self.play.collected))
+            self.data = program.data(self._put(pool.keys[self.rows]), self.hparams)
+        if pool.collected is not None:
+            self.data = self._put(jax.tree.map(itemgetter(self.rows), pool.collected))
         if self.done:
             kept = [self.before[row] for row in self.rows]
             self.state = stacked([run.state for run in kept], self.state, program.place)
-            self.pieces = {name: np.stack([run.metrics[name] for run in kept])
-                           for name in kept[0].metrics}  # fmt: skip
+            self.pieces = stack([run.metrics for run in kept])
         self.before = {}
 
-    def play_piece(self) -> None:
-        """Up to the next unit at which a run of it may be over."""
+    def play(self) -> None:
+        """A piece, or up to the next unit that is a run's last."""
         if self.before:
             self._begin()
-        end = min(int(self.play.runs.units[row]) for row in self.live)
+        end = min(int(self.pool.runs.units[row]) for row in self.live)
         count = min(self.work.piece - self.done % self.work.piece, end - self.done)
         first, number = self._put((np.int32(self.done), np.int32(count)))
         self.state, metrics = self.program.piece(self.state, self.data, first, number, self.hparams)
@@ -489,12 +471,12 @@ class _Block:
         played, ended = len(self.live), self._ended()
         for row in ended:
             curves = self._judged(row, self.live.pop(row))
-            if self.play.store:
+            if self.pool.store:
                 over = Kept(self.done, metrics=curves, over=True)
-                self.play.store.save(row, over, self.play.tally.seconds())
-            self.play.curves[row] = curves
-        self.play.tally.add(count * played, len(ended))
-        if self.live and self.play.store and self.play.store.due(self.saved_s):
+                self.pool.store.save(row, over, self.pool.tally.seconds())
+            self.pool.curves[row] = curves
+        self.pool.tally.add(count * played, len(ended))
+        if self.live and self.pool.store and self.pool.store.due(self.saved_s):
             self.save()
 
     def _ended(self) -> list[int]:
@@ -503,16 +485,16 @@ class _Block:
         """
         over = np.zeros(len(self.rows), bool)
         if self.done % self.work.piece == 0:
-            if self.play.over is not None:
-                over = self.play.over(self.pieces)
+            if self.pool.over is not None:
+                over = self.pool.over(self.pieces)
             if DIVERGED in self.pieces:
                 over = over | self.pieces[DIVERGED].any(1)
-        units = self.play.runs.units
+        units = self.pool.runs.units
         return [row for row, lane in self.live.items() if over[lane] or units[row] == self.done]
 
     def _judged(self, row: int, lane: int) -> Curves:
         """The curves of a run up to now, and what is judged of it."""
-        first = self.play.runs.seed[row] == 0
+        first = self.pool.runs.seed[row] == 0
         broken = self.pieces[DIVERGED][lane] if DIVERGED in self.pieces else np.zeros(1)
         end = broken.argmax() + 1 if broken.any() else self.done
         curves = {
@@ -525,7 +507,7 @@ class _Block:
         if not wanted:
             return curves
         own, own_data, hparams = self.program.row((self.state, self.data, self.hparams), lane)
-        key = self.play.judging[row]
+        key = self.pool.judging[row]
         for name in wanted:
             with self.program.lock:  # two threads would compile it twice
                 judged = self.program.judging[name](
