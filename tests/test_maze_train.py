@@ -228,7 +228,7 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
     with monkeypatch.context() as patch:
         patch.setattr(Bars, "tell", interrupt)
         assert run(*arguments) == 130
-    assert list((tmp_path / "checkpoints").glob("dyna*/block*.npz"))
+    assert list((tmp_path / "checkpoints").glob("dyna*/run*.npz"))
     assert run(*arguments, "--resume") == 0
     ours, whole = (read_curves(folder / "curves.npz")["dyna"] for folder in (tmp_path, finished))
     assert_same(ours, whole)

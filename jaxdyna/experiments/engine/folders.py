@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxdyna.experiments.engine import storage
+from jaxdyna.experiments.engine.checkpoint import checkpoints_below
 
 LOCK, PREVIOUS, PARTS, CHECKPOINTS = ".lock", "previous", "parts", "checkpoints"
 FIGURE = re.compile(r"!\[[^\]]*\]\(([^()/]+)\)")
@@ -102,8 +103,8 @@ def claim(folder: Path, whose: Mapping[str, str], fresh: bool) -> None:
 
 def clear(checkpoints: Path) -> None:
     """Removes what a run has written there, and folders that are empty then."""
-    patterns = ("settings*.json", "measured*.json", "*/block[0-9]*.npz")
-    for file in (path for pattern in patterns for path in checkpoints.glob(pattern)):
+    told = [path for of in ("settings", "measured") for path in checkpoints.glob(f"{of}*.json")]
+    for file in (*told, *checkpoints_below(checkpoints)):
         file.unlink(missing_ok=True)
     for emptied in (*checkpoints.glob("*/"), checkpoints):
         with suppress(OSError):

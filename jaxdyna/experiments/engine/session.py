@@ -25,7 +25,7 @@ from rich.markdown import Markdown
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine import cli, folders, programs, storage
-from jaxdyna.experiments.engine.checkpoint import Store
+from jaxdyna.experiments.engine.checkpoint import Store, checkpoints_below
 from jaxdyna.experiments.engine.experiment import (
     Entry,
     Experiment,
@@ -382,7 +382,7 @@ class Session:
             raise ValueError(f"--out {self.out} has files of no such run: choose its own folder")
         finished, now = results and identity_of(results), self.identity()
         before = begun or finished
-        if before is None and any(self.checkpoints.glob("*/block*.npz")):
+        if before is None and checkpoints_below(self.checkpoints):
             raise ValueError(
                 f"{self.checkpoints / 'settings.json'} is gone: restore it, or remove that folder"
             )
@@ -394,8 +394,10 @@ class Session:
                 "choose another --out"
             )
         begun_with = {name: (begun or {}).get(name) for name in self.made}
-        blocks = self.checkpoints.glob("*/block[0-9]*.npz")
-        stores = [Store(folder) for folder in {block.parent for block in blocks}]
+        stores = [
+            Store(folder)
+            for folder in {path.parent for path in checkpoints_below(self.checkpoints)}
+        ]
         if stores and begun_with != self.made:
             raise ValueError(
                 f"the run in {self.out} was begun with {storage.changes(begun_with, self.made)}: a "
