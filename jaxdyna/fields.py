@@ -5,8 +5,6 @@ is what library checks, command lines, ``--help`` and a report's table of settin
 nest, and are named by dotted paths: ``"dyna.num_real_first"``.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import math

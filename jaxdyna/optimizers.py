@@ -1,7 +1,5 @@
 """The setting of an optimiser, and what it trains."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The one rollout: real, fake and evaluation episodes differ only in its arguments."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

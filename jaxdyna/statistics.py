@@ -4,8 +4,6 @@ An unsolved run counts as infinity: it is never dropped. A mean with an unsolved
 therefore undefined (None), while a median may still be known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

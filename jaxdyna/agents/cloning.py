@@ -5,8 +5,6 @@ by supervised learning, and model-free learning goes on from there. Unlike there
 the planner about states that the imitator comes to (no DAgger).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

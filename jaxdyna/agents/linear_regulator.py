@@ -4,8 +4,6 @@ tries first (Kalman 1960; that it goes far with a learned model is Dean et al. 2
 That a small observation is a good one is its own assumption: it never looks at rewards.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, NamedTuple
 

@@ -3,8 +3,6 @@
 one policy about the next.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,7 +1,5 @@
 """REINFORCE (Williams 1992), §3.1.2 of the paper: a small network updated after every episode."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

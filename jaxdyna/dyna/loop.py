@@ -4,8 +4,6 @@ It knows no particular agent, model or environment; arms of a comparison differ 
 counts it is given. What a real episode draws from its key is the same in every arm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

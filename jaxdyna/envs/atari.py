@@ -5,8 +5,6 @@ it has become. So the same state and action give the same outcome, copies are ba
 episodes by ``lax.scan``; the copies of a batch are played by a thread for each core.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from concurrent.futures import ThreadPoolExecutor

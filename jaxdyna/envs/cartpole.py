@@ -1,7 +1,5 @@
 """CartPole (Barto, Sutton and Anderson 1983), with the constants and order of Gymnasium's."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, ClassVar

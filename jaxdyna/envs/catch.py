@@ -1,7 +1,5 @@
 """Catch with bsuite's rules (Osband et al. 2020): a ball falls, a paddle goes to meet it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

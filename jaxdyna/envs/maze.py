@@ -1,7 +1,5 @@
 """The paper's Maze (§4.2): reach the goal through a crowd of moving obstacles, seen from above."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """Pong with the measures of the Atari 2600 game: its field, ball, paddles, bounces and opponent."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """What `jaxdyna.envs.Pong` looks like: objects as masks, and the screen drawn from them."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax

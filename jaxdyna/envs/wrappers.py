@@ -1,7 +1,5 @@
 """Environments around environments: frames stacked, episodes that begin elsewhere."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The adversarial loss of §4.3: a discriminator that tells predicted frames from real ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

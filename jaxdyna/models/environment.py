@@ -1,7 +1,5 @@
 """A learned model as an environment: its weights travel in the params slot."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

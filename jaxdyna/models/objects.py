@@ -5,8 +5,6 @@ instead of shades: every edge comes to lie somewhere, one of a few places, as th
 discrete world model do (Micheli et al. 2023).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Action-conditional prediction of the next frame (§3.2 and Fig. 4; Oh et al. 2015)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

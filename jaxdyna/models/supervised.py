@@ -1,7 +1,5 @@
 """The dynamics model of Eq. 1: an MLP that predicts next state, reward and end of the episode."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

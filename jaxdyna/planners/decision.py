@@ -1,7 +1,5 @@
 """What planners take and return, the same for each of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 

@@ -4,8 +4,6 @@ model is searched as MuZero searches its own (Schrittwieser et al. 2020).
 The ``planning`` extra brings mctx; nothing else needs it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple

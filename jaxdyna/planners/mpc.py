@@ -6,8 +6,6 @@ A reward is seen only within the horizon: it has to reach as far as the goal is,
 step: there is no warm start.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The replays as `jaxdyna.dyna` is given them, see `jaxdyna.types.Memory`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -2,8 +2,6 @@
 ``results.json``, its report, and the way back from there to the experiment.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex
