@@ -125,7 +125,6 @@ def reinforce(
         return Trained(params, opt_state)
 
     def act(state: Trained, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
-        del hparams
         return jax.random.categorical(key, logits(state.params, obs))
 
     def act_greedy(state: Trained, obs: jax.Array, *_: Any) -> jax.Array:
@@ -137,7 +136,6 @@ def reinforce(
         """Adam forgets the loss's scale, so the mean weight of the batch scales the steps
         themselves: data of weight 0.5 moves the policy half as far. The loss is the first step's.
         """
-        del key
         check_transitions(transitions, 2)
         transitions, weight = transitions.blanked(), transitions.weights
         valid = weight > 0

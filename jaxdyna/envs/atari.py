@@ -103,7 +103,6 @@ class AtariPong(Pictures):
             ``obs, state, reward, terminated, truncated, info``: the reward is 1 for a point won and
             -1 for one lost. The emulator too cuts games off, after 108,000 frames with the first.
         """
-        del key
         saved, screen, reward, over, cut = _on_host(
             state.emulator, jnp.asarray(action, jnp.int32), jnp.int32(self.frame_skip)
         )

@@ -76,7 +76,6 @@ class CartPole(Discrete):
             ``obs [4], state, reward, terminated, truncated, info``; terminated where the cart or
             the pole is beyond its threshold, otherwise truncated at ``max_steps``.
         """
-        del key
         force = jnp.where(action == 1, params.force_mag, -params.force_mag)
         total_mass = params.masspole + params.masscart
         polemass_length = params.masspole * params.length

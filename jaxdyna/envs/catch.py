@@ -68,7 +68,6 @@ class Catch(Discrete):
 
     def reset(self, key: Key, params: CatchParams) -> tuple[jax.Array, CatchState]:
         """The ball in a random column: ``obs, state``."""
-        del params
         column = jax.random.randint(key, (), 0, self.columns, jnp.int32)
         zero, middle = jnp.int32(0), jnp.int32(self.columns // 2)
         state = CatchState(ball=jnp.stack([zero, column]), paddle=middle, time=zero)
@@ -83,7 +82,6 @@ class Catch(Discrete):
             ``obs, state, reward, terminated, truncated, info``; ``info`` has ``caught``, bool. A
             step that terminates is not truncated.
         """
-        del key
         paddle = jnp.clip(state.paddle + jnp.array(MOVES)[action], 0, self.columns - 1)
         ball = state.ball + jnp.array([1, 0], jnp.int32)
         state = CatchState(ball, paddle, state.time + 1)
@@ -109,12 +107,10 @@ class Catch(Discrete):
 
     def render(self, state: CatchState, params: CatchParams) -> jax.Array:
         """The frame for people, about 256 pixels on its longer side: `enlarge` of it."""
-        del params
         return enlarge(self.frame(state), max(1, 256 // max(self.rows, self.columns)))
 
     def observation_space(self, params: CatchParams) -> spaces.Box:
         """Zeros and ones, or bytes with ``frames``."""
-        del params
         if self.frames:
             return spaces.Box(0, 255, (self.rows, self.columns, 3), np.uint8)
         return spaces.Box(0, 1, (self.rows * self.columns,), np.float32)

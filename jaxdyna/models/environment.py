@@ -60,14 +60,12 @@ def threshold_rule(prediction: Prediction, params: LearnedParams, key: Key) -> j
     where the model is more uncertain than ``uncertainty_threshold``: what is not known is as bad as
     the end (the pessimism of MOReL, Kidambi et al. 2020). A bool scalar, as of every rule here.
     """
-    del key
     ends = prediction.terminated > params.hparams.termination_threshold
     return ends | (prediction.uncertainty > params.hparams.uncertainty_threshold)
 
 
 def probability_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
     """Terminates where the predicted probability exceeds `DreamHParams.termination_threshold`."""
-    del key
     return prediction.terminated > params.hparams.termination_threshold
 
 
@@ -81,7 +79,6 @@ def uncertain(prediction: Prediction, params: LearnedParams) -> jax.Array:
 
 def never(prediction: Prediction, params: LearnedParams) -> jax.Array:
     """Trusts every prediction."""
-    del prediction, params
     return jnp.bool_(False)
 
 

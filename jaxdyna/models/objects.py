@@ -160,7 +160,6 @@ def _learner(
         one_hot = jax.nn.one_hot(batch.action, num_actions)
 
         def true(odds: EdgeOdds, group: Sequence[int]) -> Rectangles:
-            del odds
             at = jnp.array(group)
             return Rectangles(truth.edge[:, at], truth.seen[:, at])
 
@@ -221,7 +220,6 @@ def _expected_wrong(odds: EdgeOdds, then: Rectangles) -> jax.Array:
 
 
 def _likeliest(odds: EdgeOdds, group: Sequence[int]) -> Rectangles:
-    del group
     edge = jnp.concatenate([odds.rows.argmax(-1), odds.columns.argmax(-1)], axis=-1)
     return _tidy(edge, odds.seen > 0)
 

@@ -146,7 +146,6 @@ def _learner(
         state: PixelState, transitions: Transition, key: Key, hparams: PixelHParams
     ) -> tuple[PixelState, dict[str, jax.Array]]:
         """One gradient step; ``metrics`` are the mean losses of a transition."""
-        del key
         check_transitions(transitions)
         lead = transitions.mask.ndim
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[lead:]), transitions)
