@@ -186,6 +186,13 @@ def _known(value: Any) -> bool:
     return array and np.issubdtype(value.dtype, np.number) and value.size > 0
 
 
+class Checked:
+    """A dataclass of settings whose values are checked as it is made, see `check`."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
 def check_kind(name: str, given: Any, kinds: Any) -> None:
     """Raises `SettingError` where an argument is of no such class (or of none of a tuple of them;
     None: of any), or a setting in it cannot be.

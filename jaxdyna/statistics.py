@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta, binom, binomtest, rankdata, t
 
-from jaxdyna.fields import check, check_counts, setting
+from jaxdyna.fields import Checked, check_counts, setting
 
 Summary = dict[str, Any]
 INFINITE = 1e30
@@ -22,7 +22,7 @@ FEW = 5
 
 
 @dataclass(frozen=True)
-class SolveRule:
+class SolveRule(Checked):
     """Solved when the mean return of ``window`` successive real training episodes reaches
     ``threshold``, or ``threshold`` times the mean of what ``share_of`` says.
     """
@@ -33,9 +33,6 @@ class SolveRule:
         None, "Name of a curve, such as the return that was to be had in each episode; None for a "
         "threshold that is a return.",
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def reached(self, mean: np.ndarray) -> np.ndarray:
         """Whether a mean of `score` is as high as asked for, but for rounding."""

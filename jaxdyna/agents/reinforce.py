@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, check_counts, check_shape, setting
+from jaxdyna.fields import Checked, check_counts, check_shape, setting
 from jaxdyna.losses import clipped_policy_gradient, discounted_returns, policy_gradient, standardise
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
@@ -67,7 +67,7 @@ class ReinforceHParams:
 
 
 @dataclass(frozen=True)
-class ReinforceConfig:
+class ReinforceConfig(Checked):
     """What decides the program."""
 
     hidden: tuple[int, ...] = setting(
@@ -88,9 +88,6 @@ class ReinforceConfig:
         1.0, "Variance of the policy's initial output weights, see jaxdyna.networks.MLP: a small "
         "one begins with all actions alike.", above=0,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def _network(num_actions: int, config: ReinforceConfig) -> MLP:

@@ -10,7 +10,7 @@ from flax import struct
 
 from jaxdyna.envs.gymnasium import Discrete, spaces
 from jaxdyna.envs.maze import enlarge
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import Checked, setting
 from jaxdyna.types import Key
 
 MOVES = np.array([-1, 0, 1], np.int32)
@@ -42,7 +42,7 @@ class CatchState:
 
 
 @dataclass(frozen=True)
-class Catch(Discrete):
+class Catch(Discrete, Checked):
     """A ball starts in the top row and falls one row a step; the paddle starts in the middle of
     the bottom row and moves left (0), stays (1) or moves right (2), staying on the board. The
     episode terminates when the ball reaches the bottom row; only that step earns anything.
@@ -57,9 +57,6 @@ class Catch(Discrete):
     rows: int = setting(10, "Of the board.", at_least=2)
     columns: int = setting(5, "Of the board.", at_least=1)
     frames: bool = setting(False, "Whether it is seen as a picture.")
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def default_params(self) -> CatchParams:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from jaxdyna.envs.maze import enlarge
-from jaxdyna.fields import SettingError, check, setting
+from jaxdyna.fields import Checked, SettingError, setting
 from jaxdyna.types import Environment, Key, Prediction
 
 
@@ -96,7 +96,7 @@ def uniform_start(low: float, high: float) -> Callable[[Key, Any], jax.Array]:
 
 
 @dataclass(frozen=True)
-class LearnedEnvironment:
+class LearnedEnvironment(Checked):
     """What a `DynamicsModel` believes, played like any environment.
 
     Attributes:
@@ -113,9 +113,6 @@ class LearnedEnvironment:
     start: Callable[[Key, Any], jax.Array]
     terminates: Callable[[Prediction, LearnedParams, Key], jax.Array] = threshold_rule
     truncates: Callable[[Prediction, LearnedParams], jax.Array] = never
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def default_params(self) -> LearnedParams:

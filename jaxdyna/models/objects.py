@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from jaxdyna.fields import check, check_counts, check_shape, setting
+from jaxdyna.fields import Checked, check_counts, check_shape, setting
 from jaxdyna.networks.objects import (
     EdgeOdds,
     RectangleDynamics,
@@ -29,7 +29,7 @@ from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_tran
 
 
 @dataclass(frozen=True)
-class RectangleConfig:
+class RectangleConfig(Checked):
     """What decides the program."""
 
     told: Resolution = setting(
@@ -55,9 +55,6 @@ class RectangleConfig:
         1.0, "Weight of the reward's cross-entropy beside the edges'.", at_least=0
     )
     optimizer: Optimizer = optimizer_setting(optax.adam)
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def rectangles(

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, check_counts, check_shape, setting
+from jaxdyna.fields import Checked, check_counts, check_shape, setting
 from jaxdyna.losses import PixelLoss, bce, l1, l2
 from jaxdyna.models.adversarial import AdversarialHParams, Adversary, gan_adam
 from jaxdyna.networks import FrameModel, LocalDynamics, LocalReward
@@ -29,7 +29,7 @@ class PixelHParams:
 
 
 @dataclass(frozen=True)
-class PixelConfig:
+class PixelConfig(Checked):
     """What decides the program."""
 
     network: Any = setting(
@@ -58,9 +58,6 @@ class PixelConfig:
     shades: bool = setting(
         False, "Pixels keep what is believed of them, as a shade; the threshold does not count."
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @struct.dataclass

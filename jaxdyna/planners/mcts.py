@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import Checked, setting
 from jaxdyna.planners.decision import Decision, Guide, Planner
 from jaxdyna.trees import where
 from jaxdyna.types import Environment, Key
 
 
 @dataclass(frozen=True)
-class SearchConfig:
+class SearchConfig(Checked):
     """What decides the program."""
 
     simulations: int = setting(32, "Nodes that the tree grows by: steps of the world.", at_least=1)
@@ -38,9 +38,6 @@ class SearchConfig:
         0.0, "Temperature of the visits that muzero draws its action by; 0 takes the most visited.",
         at_least=0, infinite=True,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 class Node(NamedTuple):

@@ -13,14 +13,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.fields import SettingError, check, setting
+from jaxdyna.fields import Checked, SettingError, setting
 from jaxdyna.planners.decision import Decision, Guide, Planner, Value
 from jaxdyna.trees import as_held, where
 from jaxdyna.types import Environment, Key
 
 
 @dataclass(frozen=True)
-class ShootingConfig:
+class ShootingConfig(Checked):
     """What decides the program."""
 
     horizon: int = setting(20, "Steps that are looked ahead.", at_least=1)
@@ -44,9 +44,6 @@ class ShootingConfig:
     particles: int = setting(
         1, "Episodes that a sequence is judged by, for a world that is random.", at_least=1
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True)

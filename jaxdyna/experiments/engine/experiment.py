@@ -22,7 +22,7 @@ Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class Options(fields.Checked):
     """The settings that every experiment has; a world's own come with a subclass.
 
     Attributes:
@@ -45,9 +45,6 @@ class Options:
         1, "runs computed together; a run's bits depend on this number and on nothing beside it",
         at_least=1, everyday=True,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        fields.check(self)
 
     def resolved(self) -> Self:
         """With what other settings decide filled in. A subclass says how."""

@@ -12,7 +12,7 @@ from jaxdyna.fields import setting
 
 
 @dataclass(frozen=True)
-class Training:
+class Training(fields.Checked):
     """How a model is trained, from scratch at each stage."""
 
     updates: int = setting(5000, "gradient steps, however few the episodes", at_least=1)
@@ -29,9 +29,6 @@ class Training:
     )  # fmt: skip
     reward_weight: float = setting(1.0, "of the reward's squared error beside the frame's loss",
                                    at_least=0)  # fmt: skip
-
-    def __post_init__(self) -> None:
-        fields.check(self)
 
     def updates_at(self, episodes: int) -> int:
         """Gradient steps on so many episodes."""
