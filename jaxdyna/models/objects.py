@@ -15,14 +15,8 @@ import jax.numpy as jnp
 import optax
 
 from jaxdyna.fields import Checked, check_counts, check_shape, setting
-from jaxdyna.networks.objects import (
-    EdgeOdds,
-    RectangleDynamics,
-    Rectangles,
-    Resolution,
-    drawn,
-    rectangles_of,
-)
+from jaxdyna.networks import RectangleDynamics, Resolution
+from jaxdyna.networks.objects import EdgeOdds, Rectangles, drawn, rectangles_of
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
 from jaxdyna.trees import where
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions

@@ -19,7 +19,6 @@ from jaxdyna.networks import GlimpseQ, LocalDynamics, LocalReward
 from jaxdyna.rollout import rollout
 from jaxdyna.statistics import SolveRule, mean_of_runs
 
-RULE = SolveRule(50, 0.9)
 JUDGED = 200
 
 
@@ -68,6 +67,11 @@ class CatchOptions(Options):
             "dyna.dream_steps": min(self.dyna.dream_steps or steps, steps),
             "hparams.env.max_steps": steps,
         })  # fmt: skip
+
+
+def rule(options: CatchOptions) -> SolveRule:
+    """When a run counts as solved."""
+    return SolveRule(50, 0.9)
 
 
 @cache
@@ -149,15 +153,11 @@ CATCH = Experiment(
     presets={"tuned": TUNED, "lean": LEAN},
     quick={"tuned": {"seeds": 2, "episodes": 120}, "lean": {"seeds": 2, "episodes": 60}},
     arms=arms,
-    rule=lambda options: RULE,
-    describe=(describe, frozen.describe(lambda options: RULE)),
+    rule=rule,
+    describe=(describe, frozen.describe(rule)),
     sections=(
-        report.solving(lambda options: RULE),
-        report.learning_curves(lambda options: RULE),
-        report.thresholds(lambda options: RULE),
-        frozen.frozen(lambda options: RULE),
-        report.endings(lambda options: RULE),
-        report.behaviour(report.WRONG, 10),
+        report.solving(rule), report.learning_curves(rule), report.thresholds(rule),
+        frozen.frozen(rule), report.endings(rule), report.behaviour(report.WRONG, 10),
         final, report.arms_said(study.SAID), report.settings, report.spent,
     ),
 )  # fmt: skip

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
 
 from jaxdyna import fields
+from jaxdyna.experiments.engine.storage import Results
 from jaxdyna.experiments.engine.work import Arm, Curves
 from jaxdyna.fields import setting
 from jaxdyna.statistics import SolveRule
 
-Results = dict[str, Any]
 Overrides = Mapping[str, Any]
 Say = Callable[[str], None]
 

@@ -23,30 +23,12 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from jaxdyna import fields
-from jaxdyna.experiments.engine import cli, folders, storage
+from jaxdyna.experiments.engine import cli, folders, storage, work
 from jaxdyna.experiments.engine.checkpoint import Store
-from jaxdyna.experiments.engine.experiment import (
-    Entry,
-    Experiment,
-    Record,
-    Results,
-    Study,
-    chosen,
-    entries,
-)
+from jaxdyna.experiments.engine.experiment import Entry, Experiment, Record, Study, chosen, entries
 from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.record import different, read_back, results_of, write_report
-from jaxdyna.experiments.engine.storage import InputError
-from jaxdyna.experiments.engine.work import (
-    Arm,
-    Curves,
-    Engine,
-    Interrupted,
-    Over,
-    Runs,
-    joined,
-    runs_of,
-)
+from jaxdyna.experiments.engine.storage import InputError, Results
 from jaxdyna.fields import SettingError
 from jaxdyna.statistics import episodes_to_solve
 
@@ -205,7 +187,7 @@ class Session:
             ValueError: with what to change.
         """
         self.began, self.earlier = time.perf_counter(), None
-        self.curves: dict[str, Curves] = {}
+        self.curves: dict[str, work.Curves] = {}
         self.timing: dict[str, dict[str, float]] = {}
         self.measured: dict[str, Any] = {}
         self.earlier_s = 0.0
@@ -233,7 +215,7 @@ class Session:
         Raises:
             InputError: where something in mid-run is the user's to mend.
         """
-        code, engine = 0, Engine()
+        code, engine = 0, work.Engine()
         try:
             with _deferred_interrupt(engine):
                 self._measure()
@@ -270,7 +252,7 @@ class Session:
         number, of = self.shard
         return list(range(number - 1, self.options.seeds, of))
 
-    def _play(self, engine: Engine, arms: Mapping[str, Arm]) -> None:
+    def _play(self, engine: work.Engine, arms: Mapping[str, work.Arm]) -> None:
         """Plays the entries that are not finished: those of one arm that are one work together, as
         one axis of runs.
         """
@@ -289,7 +271,7 @@ class Session:
         with Bars(self.console, totals) as bars:
             for name, group in groups.items():
                 played = [arms[entry.name] for entry in group]
-                runs = runs_of(played, self.seeds, self.options.seed)
+                runs = work.runs_of(played, self.seeds, self.options.seed)
                 store = Store(self.checkpoints / _identifier(group, runs), self.console.print)
                 done = engine.play(
                     played[0].work, runs, self._over(), store,
@@ -300,19 +282,19 @@ class Session:
                 each = len(self.seeds)
                 for number, entry in enumerate(group):
                     rows = slice(number * each, (number + 1) * each)
-                    self.curves[entry.name] = joined(done.curves[rows])
+                    self.curves[entry.name] = work.joined(done.curves[rows])
                 self.timing[name] = done.seconds._asdict()
                 del done  # before the next arm's are made
                 self._write()
 
-    def _over(self) -> Over | None:
+    def _over(self) -> work.Over | None:
         """When a run is over: so many episodes after it has solved."""
         rule, stop = self.experiment.rule, self.options.stop_after_solved
         if rule is None or stop is None:
             return None
         solves = rule(self.options)
 
-        def over(curves: Curves) -> np.ndarray:
+        def over(curves: work.Curves) -> np.ndarray:
             played = curves["real_return"].shape[1]
             return played >= episodes_to_solve(solves.score(curves), solves) + stop
 
@@ -460,7 +442,7 @@ def _group_name(group: Sequence[Entry], counts: Mapping[str, int]) -> str:
     return first.arm if counts[first.arm] == 1 else f"{first.name} and {len(group) - 1} more"
 
 
-def _identifier(group: Sequence[Entry], runs: Runs) -> str:
+def _identifier(group: Sequence[Entry], runs: work.Runs) -> str:
     """A folder's name for the checkpoints of just these runs."""
     names = [entry.name for entry in group]
     arrays = [names, *jax.tree.leaves((runs.seed, runs.hparams, runs.units))]
@@ -470,7 +452,7 @@ def _identifier(group: Sequence[Entry], runs: Runs) -> str:
 
 
 @contextmanager
-def _deferred_interrupt(engine: Engine) -> Iterator[None]:
+def _deferred_interrupt(engine: work.Engine) -> Iterator[None]:
     """Ctrl-C and SIGTERM let the pieces in progress end and be saved; a second one interrupts at
     once. Outside the main thread they do nothing.
     """
@@ -488,7 +470,7 @@ def _deferred_interrupt(engine: Engine) -> Iterator[None]:
     try:
         yield
         if engine.interrupted.is_set():
-            raise Interrupted
+            raise work.Interrupted
     finally:
         for one, handler in before.items():
             signal.signal(one, handler)
