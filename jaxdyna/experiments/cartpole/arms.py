@@ -12,12 +12,12 @@ import numpy as np
 from jaxdyna import agents, models, networks, planners
 from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, DynaState, survived
 from jaxdyna.dyna.experts import acting, random_episodes, without_guide
+from jaxdyna.dyna.frames import learned_params
 from jaxdyna.envs import CartPole, CartPoleParams
 from jaxdyna.experiments.cartpole import model
 from jaxdyna.experiments.cartpole.options import CartPoleOptions, rule
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
-from jaxdyna.experiments.study.frames import learned_params
 from jaxdyna.models.evaluation import Predict, change_error
 from jaxdyna.replay import memory, ring
 from jaxdyna.trees import where

@@ -6,13 +6,13 @@ from typing import Any, ClassVar, Literal, Self
 
 from jaxdyna.agents import DQNConfig, DQNHParams, dqn
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
+from jaxdyna.dyna.frames import frame_dyna, true_dyna
 from jaxdyna.envs import Catch, CatchParams, FrameStack
 from jaxdyna.experiments.engine import Experiment, Options
 from jaxdyna.experiments.report import frozen
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
 from jaxdyna.experiments.study import arms as study
-from jaxdyna.experiments.study.frames import frame_dyna, true_dyna
 from jaxdyna.fields import LARGEST, changed, setting
 from jaxdyna.models import PixelConfig, PixelHParams, pixels
 from jaxdyna.networks import GlimpseQ, LocalDynamics, LocalReward

@@ -19,13 +19,13 @@ from jaxdyna import losses, networks, planners
 from jaxdyna.agents import CloningConfig, DQNConfig, DQNState, cloning, dqn, q_values, real_memory
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
 from jaxdyna.dyna.experts import acting, by_values
+from jaxdyna.dyna.frames import Recorded, frame_dyna, true_dyna
 from jaxdyna.envs import FrameStack, Maze, MazeParams, MazeState
 from jaxdyna.envs.maze import MOVES
 from jaxdyna.experiments.frames.options import decayed_adam
 from jaxdyna.experiments.maze.options import MazeOptions
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
-from jaxdyna.experiments.study.frames import Recorded, frame_dyna, true_dyna
 from jaxdyna.models import PixelConfig, pixels
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Agent, Key, Transition
