@@ -134,6 +134,17 @@ def mixture_of(shares: jax.Array, palette: Palette) -> jax.Array:
     return jnp.clip(ground + shares.astype(jnp.float32) @ towards, 0, 255)
 
 
+def in_channels(stack: jax.Array, palette: Palette) -> jax.Array:
+    """A stack ``[..., H, W, 3 * frames]`` in these colours, each object in a channel of its own,
+    uint8. They are told by how red they are, in which they all differ.
+    """
+    if palette == CHANNELS:
+        return stack
+    reds = jnp.array([colour[0] for colour in (palette.opponent, palette.own, palette.ball)])
+    red = stack.reshape(*stack.shape[:-1], -1, 3)[..., :1]
+    return 255 * (red == reds.astype(jnp.uint8)).reshape(stack.shape).astype(jnp.uint8)
+
+
 def _in_order(palette: Palette) -> tuple[tuple[int, int, int], ...]:
     return palette.opponent, palette.own, palette.ball
 

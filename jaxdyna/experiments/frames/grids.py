@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from jaxdyna.envs import FrameStack
 from jaxdyna.experiments.engine import Arm, Experiment, Work
-from jaxdyna.experiments.frames.options import FrameOptions, Training, decayed_adam
+from jaxdyna.experiments.frames.options import FrameOptions, Training
 from jaxdyna.experiments.frames.report import FrameReport
 from jaxdyna.experiments.frames.training import frame_arms, frame_work
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
@@ -19,6 +19,7 @@ from jaxdyna.fields import SettingError, setting
 from jaxdyna.losses import bce, l1, l2
 from jaxdyna.models import PixelConfig, frame_probability, pixels
 from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalReward
+from jaxdyna.optimizers import decayed_adam
 from jaxdyna.replay import frames as frame_replay
 from jaxdyna.replay.frames import FrameReplay
 from jaxdyna.replay.ring import share_weight

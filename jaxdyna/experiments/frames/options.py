@@ -1,10 +1,7 @@
 """Settings that all experiments on frames have."""
 
 from dataclasses import dataclass
-from functools import cache, partial
-from typing import Any, ClassVar
-
-import optax
+from typing import ClassVar
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine import Options
@@ -60,9 +57,3 @@ class FrameOptions(Options):
                 "horizon", f"is {self.horizon}: {self.dream_from} steps and it, where dreams end, "
                 f"must be at most an episode's {self.steps} steps",
             )  # fmt: skip
-
-
-@cache
-def decayed_adam(weight_decay: float, b1: float = 0.9) -> Any:
-    """AdamW: one object, and so one program, for the same settings."""
-    return partial(optax.adamw, b1=b1, weight_decay=weight_decay)

@@ -22,11 +22,11 @@ from jaxdyna.dyna.experts import acting, by_values
 from jaxdyna.dyna.frames import Recorded, frame_dyna, true_dyna
 from jaxdyna.envs import FrameStack, Maze, MazeParams, MazeState
 from jaxdyna.envs.maze import MOVES
-from jaxdyna.experiments.frames.options import decayed_adam
 from jaxdyna.experiments.maze.options import MazeOptions
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
 from jaxdyna.models import PixelConfig, pixels
+from jaxdyna.optimizers import decayed_adam
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Agent, Key, Transition
 

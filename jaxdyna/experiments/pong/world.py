@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jaxdyna import models
 from jaxdyna.envs import CHANNELS, AtariPong, Palette, Pong, PongParams
 from jaxdyna.envs.pong_rules import FASTEST, FIELD
-from jaxdyna.envs.pong_screen import picture_of
+from jaxdyna.envs.pong_screen import in_channels, picture_of
 from jaxdyna.experiments.engine import Options
-from jaxdyna.experiments.frames.options import decayed_adam
 from jaxdyna.fields import setting
 from jaxdyna.losses import PixelLoss, l2
 from jaxdyna.networks import Discriminator, EncoderDecoder, Patched, Resolution
+from jaxdyna.optimizers import decayed_adam
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 
 PALETTES = {"objects": CHANNELS, "rgb": Palette()}
@@ -119,17 +119,6 @@ def in_colours(model: DynamicsModel, palette: Palette) -> DynamicsModel:
         return model.update(state, transitions._replace(obs=obs, next_obs=next_obs), key, hparams)
 
     return DynamicsModel(model.init, predict, update)
-
-
-def in_channels(stack: jax.Array, palette: Palette) -> jax.Array:
-    """A stack ``[..., H, W, 3 * frames]`` in these colours, each object in a channel of its own,
-    uint8. They are told by how red they are, in which they all differ.
-    """
-    if palette == CHANNELS:
-        return stack
-    reds = jnp.array([colour[0] for colour in (palette.opponent, palette.own, palette.ball)])
-    red = stack.reshape(*stack.shape[:-1], -1, 3)[..., :1]
-    return 255 * (red == reds.astype(jnp.uint8)).reshape(stack.shape).astype(jnp.uint8)
 
 
 def middles(masks: jax.Array, axis: int, scale: int = 1) -> jax.Array:
