@@ -166,11 +166,8 @@ def help_text(
             if leaf.path not in hidden and (leaf.everyday or everything or title == "call"):
                 words = arms if leaf.path == "arms" else ()
                 lines += _flag(leaf, width, words, "" if title == "call" else "None")
-    lines += [
-        "  --help, --help-all",
-        "      this; with all settings" if not everything else "      this",
-    ]
-    return "\n".join(lines)
+    more = "" if everything else "; with all settings"
+    return "\n".join([*lines, "  --help, --help-all", f"      this{more}"])
 
 
 def _shown(default: Any) -> list[Leaf]:

@@ -90,19 +90,18 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
         arms = dict.fromkeys(name.partition("@")[0] for name in default.arms)
         default = replace(default, arms=tuple(arms))
     preset = call.preset or next(iter(experiment.presets))
+    quick = experiment.quick.get(preset)
     if len(asked) < len(argv):
-        names = [part.name for part in parts]
         arms = dict.fromkeys(name.partition("@")[0] for name in experiment.arms(default.resolved()))
-        hidden = () if experiment.quick.get(preset) else ("quick",)
-        everything = "--help-all" in argv
         print(cli.help_text(
-            prog, names, [*experiment.presets], [*arms], default, everything, hidden
+            prog, [part.name for part in parts], [*experiment.presets], [*arms], default,
+            "--help-all" in argv, hidden=() if quick else ("quick",),
         ))  # fmt: skip
         raise SystemExit(0)
     if call.quick:
-        if not experiment.quick.get(preset):
+        if not quick:
             cli.fail(f"--quick: {experiment.name} has none: lower --seeds and --episodes", prog)
-        default = fields.changed(default, {**experiment.quick[preset], "quick": True})
+        default = fields.changed(default, {**quick, "quick": True})
     asked_for = cli.parse(default, rest, prog)
     options = asked_for.resolved()
     if "--arms" in rest and not options.arms:

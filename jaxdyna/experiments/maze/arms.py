@@ -81,9 +81,8 @@ def agent_of(options: MazeOptions) -> DQNConfig:
     """DQN's counts and network, with room for what a run can add to its replays and no more."""
     network: Any = networks.GlimpseQ(len(MOVES))
     if options.network != "glimpse":
-        plain = options.network == "plain"
-        kind: Any = networks.PlainQ if plain else networks.ConvolutionalQ
-        network = kind(len(MOVES), options.convolutions, options.dense)
+        kinds: Any = {"plain": networks.PlainQ, "convolutions": networks.ConvolutionalQ}
+        network = kinds[options.network](len(MOVES), options.convolutions, options.dense)
     return replace(study.sized(options.agent, options.dyna), network=network)
 
 

@@ -200,8 +200,6 @@ def _begun(arm: str) -> str:
 @told
 def solved_share(record: Any, rule: Rule) -> str:
     """The share of the runs that have solved, against real episodes."""
-    if not record.curves:
-        return ""
     solves, solved = rule(record.options), {}
     for name, curves in record.curves.items():
         at = episodes_to_solve(solves.score(curves), solves)
@@ -230,8 +228,6 @@ def behaviour(
         for key, title in measures.items()
     }
     panels = {title: lines for title, lines in panels.items() if lines}
-    if not panels:
-        return ""
     axis = f"real episodes\n(running mean of {window})"
     if not plots.bands(record.out / name, panels, axis, window=window, ylim=(0, None)):
         return ""
