@@ -181,7 +181,8 @@ def random_episodes(options: GridOptions, rare_share: float | None) -> World:
 
     def data(key: Key, key_new: Key, stage: Stage) -> Any:
         whole = collected(lambda key: play(key, 1), key, options.episodes, options.steps)
-        held, weight = first_episodes(whole, stage.part, options.steps), None
+        count, weight = jnp.asarray(stage.part, jnp.int32), None  # all last to their horizon
+        held = replace(whole, added=count * options.steps, episodes_added=count)
         if rare_share is not None:
             reward = held.rest["reward"]
             weight = share_weight(held.held, jnp.stack([reward < 0, reward > 0]), rare_share)
@@ -215,9 +216,3 @@ def collected(play: Callable[[Key], Any], key: Key, episodes: int, steps: int) -
         return (frame_replay.add(held, play(key_play)), key), None
 
     return jax.lax.scan(more, (empty, key), length=episodes)[0][0]
-
-
-def first_episodes(held: FrameReplay, episodes: Any, steps: int) -> FrameReplay:
-    """The replay as it was after so many (traced) episodes, which all lasted to their horizon."""
-    count = jnp.asarray(episodes, jnp.int32)
-    return replace(held, added=count * steps, episodes_added=count)

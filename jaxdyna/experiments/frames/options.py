@@ -27,10 +27,6 @@ class Training(fields.Checked):
     reward_weight: float = setting(1.0, "of the reward's squared error beside the frame's loss",
                                    at_least=0)  # fmt: skip
 
-    def updates_at(self, episodes: int) -> int:
-        """Gradient steps on so many episodes."""
-        return self.updates + round(self.updates_per_episode * episodes)
-
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOptions(Options):
