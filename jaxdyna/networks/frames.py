@@ -1,7 +1,5 @@
 """The next picture, the reward and the end from a stack of pictures and an action."""
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 import optax

@@ -64,15 +64,9 @@ class CrossEntropyConfig(ShootingConfig):
 
 
 def score(
-    env: Environment,
-    env_params: Any,
-    obs: jax.Array,
-    state: Any,
-    actions: jax.Array,
-    key: Key,
-    discount: float = 1.0,
-    value: Value | None = None,
-) -> jax.Array:
+    env: Environment, env_params: Any, obs: jax.Array, state: Any, actions: jax.Array, key: Key,
+    discount: float = 1.0, value: Value | None = None,
+) -> jax.Array:  # fmt: skip
     """The return of a sequence of actions: the discounted rewards up to the end of the episode and
     ``value`` of where it is left, unless the world has ended there.
 

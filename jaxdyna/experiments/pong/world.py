@@ -119,12 +119,3 @@ def in_colours(model: DynamicsModel, palette: Palette) -> DynamicsModel:
         return model.update(state, transitions._replace(obs=obs, next_obs=next_obs), key, hparams)
 
     return DynamicsModel(model.init, predict, update)
-
-
-def middles(masks: jax.Array, axis: int, scale: int = 1) -> jax.Array:
-    """Mean row or column, in pixels ``1 / scale`` as large, of a thing in each frame of ``[H, W,
-    frames]``: ``[frames]``, 0 where there is none.
-    """
-    profile = masks.sum(1 - axis)
-    numbers = jnp.arange(profile.shape[0]) + 0.5
-    return scale * (numbers @ profile) / jnp.maximum(profile.sum(0), 1)
