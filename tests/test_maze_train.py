@@ -23,8 +23,8 @@ from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.experiments.maze import LEVERS, PARTS
 from jaxdyna.experiments.maze.acting import describe, learned_at, replay
 from jaxdyna.experiments.maze.arms import agent_of, arms, behaviour, held_back, model_of, parts
-from jaxdyna.experiments.maze.ladder import LADDER, SHORT, STEPS, ladder
 from jaxdyna.experiments.maze.options import LEAN, PAPER, TUNED
+from jaxdyna.experiments.maze.studies import LADDER, SHORT, STEPS, ladder
 from jaxdyna.experiments.study import arms as study_arms
 from jaxdyna.fields import changed, leaves, value_at
 from jaxdyna.planners import solve_maze

@@ -1,10 +1,8 @@
 """What networks are made of."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
@@ -21,10 +19,10 @@ class Sized(nn.Module):
 
     def __post_init__(self) -> None:
         for name, field in self.__dataclass_fields__.items():
-            value, kind = getattr(self, name), str(field.type)
-            if kind == "int":
+            value = getattr(self, name)
+            if field.type is int:
                 check_counts(int(name != "padding"), **{name: value})
-            elif kind.startswith("tuple[int"):
+            elif get_args(field.type)[:1] == (int,):
                 check_shape(**{name: value if name == "hidden" else value or 0})
         super().__post_init__()
 

@@ -8,7 +8,6 @@ import fcntl
 import os
 import re
 import socket
-import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import datetime
@@ -149,16 +148,8 @@ def _names(folder: Path) -> set[str]:
 def _in_version_control(folder: Path, record: list[Path]) -> bool:
     """Whether git has all of these files as they are."""
     names = [file.name for file in record]
-
-    def holds(*words: str) -> bool:
-        command = ["git", "-C", str(folder), *words, "--", *names]
-        return subprocess.run(command, capture_output=True, check=False).returncode == 0
-
-    try:
-        known = holds("ls-files", "--error-unmatch")
-        return bool(names) and known and holds("diff", "--quiet", "HEAD")
-    except OSError:
-        return False
+    asked = ("ls-files", "--error-unmatch"), ("diff", "--quiet", "HEAD")
+    return bool(names) and None not in [storage.git(folder, *each, "--", *names) for each in asked]
 
 
 def is_of(about: Any, whose: Mapping[str, str]) -> bool:
