@@ -32,8 +32,11 @@ WRONG = {
 }
 """Curves of how wrong a model is one step ahead: `jaxdyna.models.evaluation.frame_errors`."""
 NOT_SHOWN = ("preset", "quick", "arms")
-ARMS_OWN = ("dqn", "mpc", "mcts")
-"""Arms, or what these begin with, that have settings of their own: told where they are played."""
+ARMS_OWN = {
+    "dqn": ("dqn",), "mpc": ("mpc",), "mcts": ("mcts",),
+    "cloning": ("mpc_init", "mpc_clone"), "shown": ("mpc_init", "mpc_clone"),
+}  # fmt: skip
+"""What settings begin with that are told only where one of these arms, or of what begins so, is."""
 
 
 def told(section: Callable[Concatenate[Any, P], str]) -> Callable[P, Section]:
@@ -338,8 +341,10 @@ def arms_said(record: Any, said: Mapping[str, str]) -> str:
 def settings(record: Any) -> str:
     """Everyday settings, and whatever is not as declared."""
     results = record.results
-    arms = grouped(record) if results.get("part") == results.get("experiment") else ARMS_OWN
-    unplayed = {own for own in ARMS_OWN if not any(arm.startswith(own) for arm in arms)}
+    every = results.get("part") != results.get("experiment")
+    arms = [] if every else [*grouped(record)]
+    unplayed = {own for own, users in ARMS_OWN.items()
+                if not every and not any(arm.startswith(users) for arm in arms)}  # fmt: skip
     rows = [
         [f"`{leaf.path}`", _said(record.results["sweep"].get(leaf.path, leaf.value)), leaf.help]
         for leaf in fields.leaves(record.options)
