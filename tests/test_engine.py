@@ -466,7 +466,7 @@ def test_devices_help_one_another(leaving, monkeypatch):
     ours, fewer = pieces(LEAVING_ARMS, MANY)
     assert_same_runs(ours, alone)
     assert fewer == len(on) < count
-    assert min(on.count(place) for place in jax.devices()[:2]) > len(on) / 4
+    assert set(on) == set(jax.devices()[:2])
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -42,7 +42,9 @@ class Call:
         None, "a results.json: all settings as there, but for those that are given"
     )
     cache: bool = setting(
-        True, "keep compiled programs in the user's cache folder, and use what is there"
+        True,
+        "keep compiled programs in the user's cache folder and use what is there; "
+        "--no-cache: neither",
     )
     shard: str | None = setting(
         None, "I/N: the I-th of N equal parts of the runs; `merge` puts them together"

@@ -284,6 +284,8 @@ class Session:
                     bars.tell(name, "compiling", 0, 0)
                 engine.prepare(dict(works[name] for name in ahead))
                 for name in ahead:
+                    bars.tell(name, "waiting", 0, 0)
+                for name in ahead:
                     tell = partial(bars.tell, name)
                     self._play_group(engine, name, groups[name], *works[name], tell)
 

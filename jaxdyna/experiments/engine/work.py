@@ -42,7 +42,7 @@ rest of its curves is NaN.
 JUDGING = 2**32 - 1
 """Folded into the base seed's key: the runs' own keys are its first splits."""
 
-BEGUN = 8
+BEGUN = 3
 """Blocks a worker that are begun at most, so that their runs can be packed together."""
 
 
@@ -199,10 +199,12 @@ class Engine:
         """
         count = len(runs.seed)
         collected = work.collect(runs) if work.collect else None
-        say("compiling", 0, 0)
         began = time.perf_counter()
         where = places(self.workers)[: -(-count // work.block)]
-        programs = self._programs(work, runs, collected, where)
+        if made := self._lowered(work, runs, collected, where):
+            say("compiling", 0, 0)
+            self._compile(made)
+        programs = {place: self.programs[_known(work, runs, place)] for place in where}
         compile_s = time.perf_counter() - began + self.prepared.pop(work, 0.0)
         tally = _Tally(say, count, store.seconds() if store else 0.0)
         pool = _Pool(runs, collected, over, store, tally, programs, where, self.interrupted)
@@ -216,35 +218,53 @@ class Engine:
         return Played(curves, Seconds(compile_s, tally.seconds()))
 
     def prepare(self, several: Mapping[Work, Runs]) -> None:
-        """Compiles at a time what is played next, which alone uses little more than a core; not
-        what waits for data that the host collects.
+        """Compiles at a time what is played next, which alone keeps little more than a core busy;
+        not what waits for data that the host collects.
 
         Raises:
             InputError: where there is too little memory.
         """
+        took, made = {}, {}
+        for work, runs in several.items():
+            if not work.collect:
+                began, blocks = time.perf_counter(), -(-len(runs.seed) // work.block)
+                made[work] = self._lowered(work, runs, None, places(self.workers)[:blocks])
+                took[work] = time.perf_counter() - began
 
         def compiled(work: Work) -> float:
-            began, runs = time.perf_counter(), several[work]
-            blocks = -(-len(runs.seed) // work.block)
-            self._programs(work, runs, None, places(self.workers)[:blocks])
+            began = time.perf_counter()
+            self._compile(made[work])
             return time.perf_counter() - began
 
-        works = [work for work in several if not work.collect]
         began = time.perf_counter()
-        with ThreadPoolExecutor(max(len(works), 1)) as pool:
-            each = [*pool.map(compiled, works)]
+        with ThreadPoolExecutor(max(len(made), 1)) as pool:
+            each = [*pool.map(compiled, made)]
         share = (time.perf_counter() - began) / max(sum(each), 1e-9)
-        self.prepared |= {work: share * one for work, one in zip(works, each, strict=True)}
+        self.prepared |= {
+            work: took[work] + share * one for work, one in zip(made, each, strict=True)
+        }
 
-    def _programs(
+    def _lowered(
         self, work: Work, runs: Runs, collected: Any, where: Sequence[jax.Device]
-    ) -> dict[jax.Device, _Program]:
-        shapes = str(jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams))
-        for place in set(where):
-            if (work, shapes, place) not in self.programs:
-                made = _Program(work, runs, collected, place, where.count(place))
-                self.programs[work, shapes, place] = made
-        return {place: self.programs[work, shapes, place] for place in set(where)}
+    ) -> dict[Any, _Program]:
+        """What is not compiled yet. Traced here, since a thread has not the caller's `jax.config`
+        contexts.
+        """
+        lacking = {_known(work, runs, place): place for place in where}
+        return {
+            known: _Program(work, runs, collected, place, where.count(place))
+            for known, place in lacking.items() if known not in self.programs
+        }  # fmt: skip
+
+    def _compile(self, made: Mapping[Any, _Program]) -> None:
+        for known, program in made.items():
+            program.compile()
+            self.programs[known] = program
+
+
+def _known(work: Work, runs: Runs, place: jax.Device) -> Any:
+    shapes = jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams)
+    return work, str(shapes), place
 
 
 def places(workers: int = 0) -> list[jax.Device]:
@@ -256,10 +276,11 @@ def places(workers: int = 0) -> list[jax.Device]:
 
 
 class _Program:
-    """A work compiled for blocks of its size on one device."""
+    """A work for blocks of its size on one device: lowered, then compiled."""
 
     def __init__(self, work: Work, runs: Runs, collected: Any, place: jax.Device, at_once: int):
         self.work, self.place, self.lock = work, place, threading.Lock()
+        self.at_once = at_once
         keys, hparams = self.put(_shaped(work.block, (runs.keys, runs.hparams)))
 
         def piece(state: Any, data: Any, first: jax.Array, count: jax.Array, hparams: Any) -> Any:
@@ -275,19 +296,27 @@ class _Program:
         afford(held(state, data), work.block, at_once, place)  # before it compiles for minutes
         number = self.put(jax.ShapeDtypeStruct((), jnp.int32))
         piece_of = jax.jit(piece, donate_argnums=0).lower(state, data, number, number, hparams)
-        lowered = [(start, _quickly(place)), (piece_of, {}), *([(making, {})] if making else [])]
-        with ThreadPoolExecutor(len(lowered)) as pool:  # XLA compiles without Python's lock
-            self.start, self.piece, *rest = pool.map(
-                lambda one: one[0].compile(compiler_options=one[1]), lowered
-            )
-        afford(used_by(self.piece), work.block, at_once, place)
-        self.data = rest[0] if rest else None
+        self.lowered = [(start, _quickly(place)), (piece_of, {}), *([(making, {})] * bool(making))]
         self.judging = {
             name: jax.jit(call)
             for name, call in (("judge", work.judge), ("show", work.show))
             if call is not None
         }
         self.row = jax.jit(lambda tree, row: jax.tree.map(lambda leaf: leaf[row], tree))
+
+    def compile(self) -> None:
+        """Compiles it, and looks at the memory that it takes.
+
+        Raises:
+            InputError: where there is too little.
+        """
+        with ThreadPoolExecutor(len(self.lowered)) as pool:  # XLA compiles without Python's lock
+            self.start, self.piece, *rest = pool.map(
+                lambda one: one[0].compile(compiler_options=one[1]), self.lowered
+            )
+        self.data = rest[0] if rest else None
+        self.lowered = []
+        afford(used_by(self.piece), self.work.block, self.at_once, self.place)
 
     def put(self, tree: Any) -> Any:
         """Shapes on this program's device."""
@@ -348,10 +377,11 @@ class _Pool:
         self.lock, self.failed = threading.Lock(), threading.Event()
         self.keys, self.judging = self.runs.keys, self.runs.judging
         self.size, units = self.programs[self.where[0]].work.block, self.runs.units
-        self.may_shrink = self.size > 1 and (self.over is not None or units.min() < units.max())
         store = self.store
         kept = {row: (store and store.load(row)) or Kept() for row in range(len(units))}
         self.curves = {row: run.metrics for row, run in kept.items() if run.over}
+        differ = units.min() < units.max() or len({run.done for run in kept.values()}) > 1
+        self.may_shrink = self.size > 1 and (self.over is not None or differ)
         if played := sum(run.done for run in kept.values()):
             self.tally.add(played, len(self.curves))
         self.unbegun = _blocks({row: run for row, run in kept.items() if not run.over}, self.size)
@@ -385,7 +415,8 @@ class _Pool:
             if played is not None:
                 self.playing[place] -= 1
                 if played.live:
-                    waiting[:] = self._packed([*waiting, played], played.done)
+                    waiting.append(played)
+                    waiting[:] = self._packed(waiting, played.done)
             if self._stopped():
                 return None
             if not waiting:
@@ -393,11 +424,12 @@ class _Pool:
             waiting = waiting or max(self.waiting.values(), key=len)  # another device's
             if not waiting:
                 return None
-            block = min(waiting, key=lambda block: block.done)
+            block, program = min(waiting, key=lambda block: block.done), self.programs[place]
+            moved = block.program is not program
+            taken = _Block(self, program, block.kept(), block.saved_s) if moved else block
             waiting.remove(block)
             self.playing[place] += 1
-            program = self.programs[place]
-            return block if block.program is program else _Block(self, program, block.kept())
+            return taken
 
     def _packed(self, waiting: list[_Block], done: int) -> list[_Block]:
         """Of these those at unit ``done`` in as few as can be."""
@@ -405,7 +437,8 @@ class _Pool:
         if -(-sum(len(block.live) for block in same) // self.size) == len(same):
             return waiting
         kept = {row: run for block in same for row, run in block.kept().items()}
-        fewer = [_Block(self, same[0].program, runs) for runs in _blocks(kept, self.size)]
+        saved_s, program = min(block.saved_s for block in same), same[0].program
+        fewer = [_Block(self, program, runs, saved_s) for runs in _blocks(kept, self.size)]
         return [block for block in waiting if block.done != done] + fewer
 
     def _begin(self, place: jax.Device) -> None:
@@ -416,7 +449,8 @@ class _Pool:
             more = BEGUN * workers - self.playing[place]
             most = max(most, spare(used_by(program.piece), more, place))
         for _ in range(min(most, -(-len(self.unbegun) // len(self.programs)))):
-            self.waiting[place].append(_Block(self, program, self.unbegun.pop(0)))
+            runs = self.unbegun.pop(0)
+            self.waiting[place].append(_Block(self, program, runs, time.perf_counter()))
 
 
 def _blocks(kept: Mapping[int, Kept], size: int) -> list[dict[int, Kept]]:
@@ -434,14 +468,15 @@ class _Block:
         live: the lane of each run that is not over.
         done: units played.
         before: the runs as they were kept, until they are on the device.
+        saved_s: when they were saved the last time, or begun.
     """
 
-    def __init__(self, pool: _Pool, program: _Program, kept: dict[int, Kept]):
+    def __init__(self, pool: _Pool, program: _Program, kept: dict[int, Kept], saved_s: float):
         self.pool, self.program, self.work, self.before = pool, program, program.work, kept
         self.live = {row: lane for lane, row in enumerate(kept)}
         rows = [*kept]
         self.rows = np.array(rows + rows[:1] * (self.work.block - len(rows)))
-        self.done, self.saved_s = kept[rows[0]].done, time.perf_counter()
+        self.done, self.saved_s = kept[rows[0]].done, saved_s
 
     def kept(self) -> dict[int, Kept]:
         """Its runs that are not over, on the host."""
