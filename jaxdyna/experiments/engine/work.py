@@ -42,7 +42,7 @@ rest of its curves is NaN.
 JUDGING = 2**32 - 1
 """Folded into the base seed's key: the runs' own keys are its first splits."""
 
-BEGUN = 3
+BEGUN = 8
 """Blocks a worker that are begun at most, so that their runs can be packed together."""
 
 
