@@ -5,8 +5,6 @@ is what library checks, command lines, ``--help`` and a report's table of settin
 nest, and are named by dotted paths: ``"dyna.num_real_first"``.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import math
@@ -26,6 +24,7 @@ MOST = 3.4e38
 """The most that whole numbers, and others, may be whose range has no end: int32, and float32."""
 _DECLARED = "jaxdyna"
 _NAMES = {bool: "True or False", int: "a whole number", float: "a number", str: "text"}
+_type_hints: Callable[[Any], dict[str, Any]] = cache(get_type_hints)
 
 
 class SettingError(ValueError):
@@ -70,11 +69,9 @@ class Range(NamedTuple):
     def __str__(self) -> str:
         if None not in (self.low, self.high) and not (self.above or self.below):
             return f"between {self.low:.12g} and {self.high:.12g}"
-        low = "" if self.low is None else f"{'above' if self.above else 'at least'} {self.low:.12g}"
-        high = (
-            "" if self.high is None else f"{'below' if self.below else 'at most'} {self.high:.12g}"
-        )
-        bounds = " and ".join(bound for bound in (low, high) if bound)
+        least, most = "above" if self.above else "at least", "below" if self.below else "at most"
+        ends = (least, self.low), (most, self.high)
+        bounds = " and ".join(f"{word} {end:.12g}" for word, end in ends if end is not None)
         return bounds or ("a number" if self.infinite else "a finite number")
 
 
@@ -137,8 +134,7 @@ def setting(
 
 def leaves(settings: Any, prefix: str = "") -> Iterator[Leaf]:
     """The settings of a nested dataclass, in the order of their declaration."""
-    kind: Any = type(settings)
-    hints = type_hints(kind)
+    hints = _type_hints(type(settings))
     for item in dataclasses.fields(settings):
         value, path = getattr(settings, item.name), f"{prefix}{item.name}"
         if _is_settings(value):
@@ -147,12 +143,6 @@ def leaves(settings: Any, prefix: str = "") -> Iterator[Leaf]:
             yield _declared(item)._replace(
                 path=path, value=value, default=item.default, hint=hints[item.name]
             )
-
-
-@cache
-def type_hints(kind: Any) -> dict[str, Any]:
-    """The types of a dataclass's fields."""
-    return get_type_hints(kind)
 
 
 def check(settings: Any, prefix: str = "") -> None:
@@ -194,6 +184,13 @@ def _known(value: Any) -> bool:
     """Whether it is an array of numbers that are not traced."""
     array = isinstance(value, np.ndarray | jax.Array) and not isinstance(value, jax.core.Tracer)
     return array and np.issubdtype(value.dtype, np.number) and value.size > 0
+
+
+class Checked:
+    """A dataclass of settings whose values are checked as it is made, see `check`."""
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 def check_kind(name: str, given: Any, kinds: Any) -> None:
@@ -398,16 +395,16 @@ def _declared(item: dataclasses.Field) -> Leaf:
     return item.metadata.get(_DECLARED, Leaf())
 
 
+def _is_settings(value: Any) -> bool:
+    kind: Any = type(value)
+    return _declares(kind)
+
+
 @cache
 def _declares(kind: Any) -> bool:
     return dataclasses.is_dataclass(kind) and any(
         _DECLARED in item.metadata for item in dataclasses.fields(kind)
     )
-
-
-def _is_settings(value: Any) -> bool:
-    kind: Any = type(value)
-    return _declares(kind)
 
 
 def _name(value: Any) -> str:

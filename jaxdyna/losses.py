@@ -1,7 +1,5 @@
 """The equations, unbatched: one episode or one transition at a time. Callers vmap them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The one rollout: real, fake and evaluation episodes differ only in its arguments."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -18,16 +16,9 @@ environment's state before it and after it, and of what the environment says of 
 
 
 def rollout(
-    env: Environment,
-    act: Callable[..., jax.Array],
-    key: Key,
-    env_params: Any,
-    num_episodes: int,
-    *,
-    num_steps: int | None = None,
-    record: Record | None = None,
-    sees_state: bool = False,
-) -> Any:
+    env: Environment, act: Callable[..., jax.Array], key: Key, env_params: Any, num_episodes: int,
+    *, num_steps: int | None = None, record: Record | None = None, sees_state: bool = False,
+) -> Any:  # fmt: skip
     """Plays whole episodes side by side.
 
     Args:

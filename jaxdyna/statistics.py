@@ -4,8 +4,6 @@ An unsolved run counts as infinity: it is never dropped. A mean with an unsolved
 therefore undefined (None), while a median may still be known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta, binom, binomtest, rankdata, t
 
-from jaxdyna.fields import check, check_counts, setting
+from jaxdyna.fields import Checked, check_counts, setting
 
 Summary = dict[str, Any]
 INFINITE = 1e30
@@ -24,7 +22,7 @@ FEW = 5
 
 
 @dataclass(frozen=True)
-class SolveRule:
+class SolveRule(Checked):
     """Solved when the mean return of ``window`` successive real training episodes reaches
     ``threshold``, or ``threshold`` times the mean of what ``share_of`` says.
     """
@@ -35,9 +33,6 @@ class SolveRule:
         None, "Name of a curve, such as the return that was to be had in each episode; None for a "
         "threshold that is a return.",
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def reached(self, mean: np.ndarray) -> np.ndarray:
         """Whether a mean of `score` is as high as asked for, but for rounding."""

@@ -1,7 +1,5 @@
 """Seeds x hyper-parameters in one jitted call, on every device."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

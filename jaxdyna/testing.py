@@ -2,8 +2,6 @@
 small inputs, and raises a `ContractError` that says what is wrong first, and how to mend it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pytrees of arrays and keys: by the names of their leaves, and in one another's types."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

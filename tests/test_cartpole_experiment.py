@@ -165,7 +165,7 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
         assert play(tmp_path, *arguments) == 130
     partial = json.loads((tmp_path / "results.json").read_text())
     assert list(partial["arms"]) == ["model_free"] and (tmp_path / "report.md").exists()
-    assert list((tmp_path / "checkpoints").glob("dyna*/block*.npz")) and len(played) == 2
+    assert list((tmp_path / "checkpoints").glob("dyna*/run*.npz")) and len(played) == 2
 
     with pytest.raises(SystemExit) as stop:
         play(tmp_path, *arguments, "--resume", "--dyna.model-batch", "3")

@@ -1,5 +1,7 @@
 """Rewritten convolutions and their gradients against autodiff of plain ones."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -118,3 +120,20 @@ def test_a_normalised_convolution_by_its_definition(monkeypatch, axis):
 
     got, wanted = (jax.value_and_grad(loss, (0, 1))(params, x) for loss in (mine, theirs))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3), got, wanted)
+
+
+def test_a_product_has_the_gradients_of_a_matrix_product():
+    """Of batches with any leading axes, of weights for each run too."""
+    keys = jax.random.split(jax.random.key(5), 3)
+    x = jax.random.normal(keys[0], (3, 2, 6, 5))
+    kernel = jax.random.normal(keys[1], (3, 5, 7))
+    weight = jax.random.normal(keys[2], (3, 2, 6, 7))
+
+    def gradients(multiply):
+        def loss(x, kernel, weight):
+            return (jnp.sin(multiply(x, kernel)) * weight).sum()
+
+        return jax.jit(jax.vmap(jax.value_and_grad(loss, (0, 1))))(x, kernel, weight)
+
+    ours, theirs = gradients(layers.product), gradients(jnp.matmul)
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-5), ours, theirs)

@@ -22,7 +22,7 @@ from test_engine import (
 )
 
 from jaxdyna.experiments.engine import Engine, Experiment, Options, checkpoint, main, storage, work
-from jaxdyna.experiments.engine.checkpoint import BlockStore, Store
+from jaxdyna.experiments.engine.checkpoint import Store
 from jaxdyna.experiments.engine.work import Interrupted
 from jaxdyna.trees import difference
 
@@ -38,7 +38,7 @@ def flipped(content, bit):
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
-    """Two blocks that were interrupted with two checkpoints each, the programs, and whole runs."""
+    """Four runs that were interrupted with two checkpoints each, the programs, and whole runs."""
     store, engine = Store(tmp_path_factory.mktemp("store")), Engine(workers=1)
     whole = play(engine, [arm(WORK)], SEEDS[:4])
     with pytest.MonkeyPatch.context() as patch:
@@ -48,7 +48,7 @@ def saved(tmp_path_factory):
         with pytest.raises(Interrupted):
             play(stopped, [arm(WORK)], SEEDS[:4], stopping_after(stopped, 4), store=store)
     names = {path.name for path in store.folder.iterdir()}
-    assert names == {f"block{n}{kind}.npz" for n in (0, 1) for kind in ("", ".before")}
+    assert names == {f"run{n}{kind}.npz" for n in range(4) for kind in ("", ".before")}
     return store.folder, engine.programs, whole
 
 
@@ -68,20 +68,20 @@ def test_a_flipped_bit_is_noticed_and_the_checkpoint_before_is_used(saved, tmp_p
     """Whichever is used, the rest of the run is the same (`goes_on`)."""
     folder, noticed = tmp_path / original_name(saved), 0
     shutil.copytree(saved[0], folder)
-    newest = folder / "block0.npz"
-    content, whole = newest.read_bytes(), Store(folder).block(0).load()
-    before = BlockStore(folder / "block0.npz")._read(folder / "block0.before.npz")
+    newest = folder / "run0.npz"
+    content, whole = newest.read_bytes(), Store(folder).load(0)
+    before = Store(folder)._read(folder / "run0.before.npz")
     assert whole.done > before.done > 0
     bits = np.random.default_rng(0).integers(0, 8 * len(content), PLACES)
     for bit in map(int, bits):
         newest.write_bytes(flipped(content, bit))
         said = []
-        loaded = Store(folder, said.append).block(0).load()
+        loaded = Store(folder, said.append).load(0)
         assert not difference(loaded.__dict__, (before if said else whole).__dict__)
-        assert all("block0.npz is damaged" in line and "\n" not in line for line in said)
+        assert all("run0.npz is damaged" in line and "\n" not in line for line in said)
         noticed += bool(said)
     assert noticed > 0.7 * PLACES  # the rest: dates and padding of the file's own format
-    said = goes_on(saved, folder, lambda at: (at / "block0.npz").write_bytes(flipped(content, 999)))
+    said = goes_on(saved, folder, lambda at: (at / "run0.npz").write_bytes(flipped(content, 999)))
     assert len(said) == 1
 
 
@@ -93,12 +93,12 @@ def original_name(saved):
 @pytest.mark.parametrize("kept", [0, 1, 100, 0.5, -1])
 def test_a_checkpoint_that_was_cut(kept, saved, tmp_path):
     def cut(folder):
-        content = (folder / "block1.npz").read_bytes()
+        content = (folder / "run1.npz").read_bytes()
         size = int(kept * len(content)) if kept == 0.5 else kept
-        (folder / "block1.npz").write_bytes(content[:size])
+        (folder / "run1.npz").write_bytes(content[:size])
 
     (said,) = goes_on(saved, tmp_path / original_name(saved), cut)
-    assert "block1.npz is damaged" in said
+    assert "run1.npz is damaged" in said
 
 
 def test_checkpoints_that_changed_places(saved, tmp_path):
@@ -108,12 +108,12 @@ def test_checkpoints_that_changed_places(saved, tmp_path):
         (folder / "third").rename(folder / other)
 
     again = partial(goes_on, saved, tmp_path / original_name(saved))
-    assert again(partial(exchanged, "block0.npz", "block0.before.npz")) == []  # older, but whole
-    said = again(partial(exchanged, "block0.npz", "block1.npz"))
+    assert again(partial(exchanged, "run0.npz", "run0.before.npz")) == []  # older, but whole
+    said = again(partial(exchanged, "run0.npz", "run1.npz"))
     assert len(said) == 2 and all("is the checkpoint of" in line for line in said)
 
 
-@pytest.mark.parametrize("lost", [["block0.npz"], ["block0.npz", "block0.before.npz"]])
+@pytest.mark.parametrize("lost", [["run0.npz"], ["run0.npz", "run0.before.npz"]])
 def test_checkpoints_that_are_gone(lost, saved, tmp_path):
     def lose(folder):
         for name in lost:
@@ -127,7 +127,7 @@ def test_nothing_is_left_of_either(saved, tmp_path):
         for path in folder.iterdir():
             path.write_bytes(path.read_bytes()[:-30])
 
-    assert len(goes_on(saved, tmp_path / original_name(saved), spoil)) == 4
+    assert len(goes_on(saved, tmp_path / original_name(saved), spoil)) == 8
 
 
 # ---- the same from the command line

@@ -2,6 +2,7 @@
 interrupted or not, it is the same run bit for bit.
 """
 
+import shutil
 import subprocess
 import sys
 import threading
@@ -360,6 +361,218 @@ def test_dyna_is_the_same_in_any_company(tmp_path):
     assert len(engine.programs) == 1
 
 
+# ---- runs that are over leave
+
+
+def breaking(state, data, unit, hparams):
+    """Now and then a run's numbers break."""
+    state, metrics = step(state, data, unit, hparams)
+    breaks = (7 * state["total"] + hparams["rate"]) % 1 < 0.01
+    state |= {"weights": jnp.where(breaks, jnp.nan, state["weights"])}
+    return state, metrics | {"diverged": breaks * 1.0}
+
+
+def scattered(curves):
+    """At the end of every piece one of six runs is over."""
+    return (curves["total"][:, PIECE - 1 :: PIECE] % 1 < 0.16).any(1)
+
+
+LEAVING = making(3, step=breaking)
+LEAVING_ARMS = [arm(LEAVING, units=42), arm(LEAVING, RATES[1], units=31)]
+MANY = range(11)
+
+
+def pieces(arms, seeds, over=scattered, workers=1, programs=None, **rest):
+    """What runs came to, and how many pieces of blocks were computed."""
+    told = []
+    engine = Engine(workers=workers, programs={} if programs is None else programs)
+    played = play(engine, arms, seeds, over, say=lambda stage, *_: told.append(stage), **rest)
+    return played, told.count("running")
+
+
+@pytest.fixture(scope="module")
+def leaving():
+    """Runs of blocks that were each played alone, the pieces of these, and their programs."""
+    programs, alone, count = {}, {}, 0
+    for number, one in enumerate(LEAVING_ARMS):
+        for first in range(0, len(MANY), 3):
+            played, more = pieces([one], MANY[first : first + 3], programs=programs)
+            alone |= {(number, seed): run for (_, seed), run in played.items()}
+            count += more
+    ends = [len(run["total"]) for run in alone.values()]
+    assert len(set(ends)) > 7 and {31, 42} <= set(ends)
+    assert sum(bool(run["diverged"].any()) for run in alone.values()) in range(2, 8)
+    return alone, count, programs
+
+
+def fewest(alone):
+    """Pieces that blocks of three take where all runs at a unit are as few blocks as can be."""
+    ends = np.array([len(run["total"]) for run in alone.values()])
+    cuts = sorted({*range(0, 42, PIECE), 31})  # the shorter arm ends in mid-piece
+    looked = [next(cut for cut in [*cuts, 42] if cut >= end) for end in ends]
+    return sum(-(-sum(end > cut for end in looked) // 3) for cut in cuts)
+
+
+def test_runs_that_are_over_leave_and_the_rest_is_the_same(leaving):
+    alone, count, programs = leaving
+    whole, fewer = pieces(LEAVING_ARMS, MANY, programs=programs)
+    assert_same_runs(whole, alone)
+    assert len(whole) == len(alone) == 22
+    assert fewer == fewest(alone) < 0.8 * count
+    for workers in (2, 3):
+        ours, several = pieces(LEAVING_ARMS, MANY, workers=workers, programs=programs)
+        assert_same_runs(ours, alone)
+        assert several < count
+    assert len(programs) == 1
+
+
+def test_blocks_wait_only_where_memory_affords_it(leaving, monkeypatch):
+    alone, _, programs = leaving
+    asked = []
+    monkeypatch.setattr(work, "spare", lambda need, most, place: asked.append((need, most)) or 0)
+    ours, as_many = pieces(LEAVING_ARMS, MANY, programs=programs)
+    assert_same_runs(ours, alone)
+    assert as_many > fewest(alone)
+    assert {most for _, most in asked} == {work.BEGUN} and min(need for need, _ in asked) > 0
+
+
+def test_what_the_host_collects_follows_its_runs():
+    played = making(3, data=None, collect=collect)
+    whole, count = pieces([arm(played, units=42)], MANY)
+    alone = {}
+    for first in range(0, len(MANY), 3):
+        ours, more = pieces([arm(played, units=42)], MANY[first : first + 3])
+        alone, count = alone | ours, count - more
+    assert_same_runs(whole, alone)
+    assert count < 0
+
+
+def test_devices_help_one_another(leaving, monkeypatch):
+    """Also where one of them has begun all blocks."""
+    alone, count, _ = leaving
+    begin, played, on = work._Pool._begin, work._Block.play, []
+
+    def greedy(pool, place):
+        while pool.unbegun:
+            begin(pool, place)
+
+    def noted(block):
+        on.append(block.program.place)
+        played(block)
+
+    monkeypatch.setattr(work, "places", lambda workers: jax.devices()[:2])
+    monkeypatch.setattr(work._Pool, "_begin", greedy)
+    monkeypatch.setattr(work._Block, "play", noted)
+    ours, fewer = pieces(LEAVING_ARMS, MANY)
+    assert_same_runs(ours, alone)
+    assert fewer == len(on) < count
+    assert set(on) == set(jax.devices()[:2])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_interrupted_while_blocks_wait_and_resumed_is_uninterrupted(leaving, workers, tmp_path):
+    alone, _, programs = leaving
+    random = np.random.default_rng(workers)
+    for trial in range(2):
+        store, times, played = Store(tmp_path / str(trial)), 0, 0
+        while True:
+            again = Engine(workers=workers, programs=programs)
+            until, told = stopping_after(again, random.integers(1, 9), scattered), []
+            try:
+                runs = play(again, LEAVING_ARMS, MANY, until, store=store,
+                            say=lambda *said, told=told: told.append(said))  # fmt: skip
+                break
+            except Interrupted:
+                times += 1
+                lasted = [done for stage, done, _ in told if stage == "running"]
+                assert lasted[0] >= played, "what was played before is lost"
+                played = lasted[-1]
+        assert times > 3
+        assert_same_runs(runs, alone)
+
+
+def test_killed_between_any_two_files_and_resumed_is_uninterrupted(leaving, tmp_path, monkeypatch):
+    """Blocks are saved at different times, and not at once; runs go from one to another."""
+    monkeypatch.setattr(checkpoint, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(checkpoint, "CHECKPOINT_SHARE", 1e9)
+    alone, count, programs = leaving
+    folder, save, random = tmp_path / "now" / "arm", Store.save, np.random.default_rng(0)
+    folder.parent.mkdir()
+    left = []
+
+    def saving(store, *written):
+        save(store, *written)
+        if random.random() < 0.08:
+            left.append(tmp_path / str(len(left)) / "arm")
+            shutil.copytree(folder, left[-1])
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "save", saving)
+        pieces(LEAVING_ARMS, MANY, programs=programs, store=Store(folder))
+    assert len(left) > 5
+    for killed in left:
+        ours, rest = pieces(LEAVING_ARMS, MANY, programs=programs, store=Store(killed))
+        assert_same_runs(ours, alone)
+        assert rest < count
+
+
+def test_the_two_newest_checkpoints_are_of_different_units(leaving, tmp_path, monkeypatch):
+    """Also where all is saved again because of Ctrl-C, or before anything was played on."""
+    monkeypatch.setattr(checkpoint, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(checkpoint, "CHECKPOINT_SHARE", 1e9)
+    for played in (10, 4):
+        engine = Engine(workers=1, programs=leaving[2])
+        store, until = Store(tmp_path / "arm"), stopping_after(engine, played, scattered)
+        with pytest.raises(Interrupted):
+            play(engine, LEAVING_ARMS[:1], MANY, until, store=store)
+        both = [row for row in range(len(MANY)) if (store.folder / f"run{row}.before.npz").exists()]
+        for row in both:
+            before = store._read(store.folder / f"run{row}.before.npz")
+            assert before.done < store.load(row).done or store.load(row).over
+        assert len(both) > 5
+        engine.interrupted.set()
+        with pytest.raises(Interrupted):
+            play(engine, LEAVING_ARMS[:1], MANY, scattered, store=Store(store.folder))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_where_a_block_fails_those_that_wait_are_saved(leaving, workers, tmp_path):
+    alone, count, programs = leaving
+    told = []
+
+    def fail(stage, done, over):
+        told.append(stage)
+        if told.count("running") == 20:
+            raise ZeroDivisionError
+
+    store = Store(tmp_path / "arm")
+    with pytest.raises(ZeroDivisionError):
+        play(Engine(workers, programs=programs), LEAVING_ARMS, MANY, scattered, store=store,
+             say=fail)  # fmt: skip
+    kept = [store.load(row) for row in range(22)]
+    assert sum(run is None for run in kept) <= 3  # of the one that failed, never saved before
+    ours, rest = pieces(LEAVING_ARMS, MANY, programs=programs, store=store)
+    assert_same_runs(ours, alone)
+    assert rest < count
+
+
+def test_dyna_is_the_same_where_runs_leave():
+    """REINFORCE with dreams, in blocks of three."""
+    made = dyna_arm(DYNA, replace(SMALL, num_episodes=16), hparams(), Hooks(piece=2, block=3))
+
+    def over(curves):
+        return (curves["real_return"][:, 1::2] < 14).any(1)
+
+    whole, fewer = pieces([made], MANY, over)
+    alone, programs, count = {}, {}, 0
+    for first in range(0, len(MANY), 3):
+        ours, more = pieces([made], MANY[first : first + 3], over, programs=programs)
+        alone, count = alone | ours, count + more
+    assert len({len(run["real_return"]) for run in alone.values()}) > 3
+    assert_same_runs(whole, alone)
+    assert fewer < count
+
+
 COMMAND = """
 import sys
 from jaxdyna.experiments.engine import checkpoint, main
@@ -369,8 +582,9 @@ sys.exit(main(*PARTS, prog="python -m jaxdyna.experiments.{world}"))
 """
 KILLED = {
     "catch": [
-        "catch", "--rows", "3", "--columns", "2", "--seeds", "3", "--episodes", "600",
-        "--stop-after-solved", "None", "--agent.updates", "1", "--agent.fake-updates", "1",
+        "catch", "--rows", "3", "--columns", "2", "--seeds", "7", "--block", "2",
+        "--episodes", "600", "--stop-after-solved", "400", "--agent.n-step", "1",
+        "--agent.updates", "1", "--agent.fake-updates", "1",
         "--agent.batch", "16", "--widths", "2", "--dyna.num-real-first", "3",
         "--dyna.model-updates", "1", "--dyna.model-batch", "4", "--dyna.dream-episodes", "2",
     ],

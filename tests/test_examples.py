@@ -28,9 +28,9 @@ printf '%s\\t' "$@" >> played.txt; echo >> played.txt
 """
 
 
-def words(name, number, *more):
+def words(name, number, *more, flags=FLAGS):
     out = f"out/parts/{number}-of-2"
-    return ["-m", f"jaxdyna.experiments.{name}", *FLAGS, "--shard", f"{number}/2", "--out", out,
+    return ["-m", f"jaxdyna.experiments.{name}", *flags, "--shard", f"{number}/2", "--out", out,
             *more]  # fmt: skip
 
 
@@ -83,6 +83,11 @@ def test_slurm_goes_on_with_what_was_begun(here):
     assert played(here) == [words("maze", 1, "--resume"), MERGE]
 
 
+def test_slurm_needs_no_flags(here):
+    assert by_slurm(here, "2", "out", "catch").returncode == 0
+    assert played(here) == [words("catch", 1, flags=[]), words("catch", 2, flags=[]), MERGE]
+
+
 def test_slurm_says_how_it_is_called(here):
     done = by_slurm(here, "2", "out")
     assert done.returncode == 2
@@ -119,8 +124,14 @@ def sweep(here, monkeypatch):
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, "sweep", module)
     spec.loader.exec_module(module)
-    monkeypatch.setattr(module.subprocess, "run", lambda line, check: calls.append(line[1:]))
-    return SimpleNamespace(main=module.main, told=told, calls=calls)
+    child = SimpleNamespace(wait=lambda: 0, terminate=lambda: calls.append("terminated"))
+
+    def popen(line):
+        calls.append(line[1:])
+        return nullcontext(child)
+
+    monkeypatch.setattr(module.subprocess, "Popen", popen)
+    return SimpleNamespace(main=module.main, told=told, calls=calls, child=child)
 
 
 def test_submitit_plays_every_shard_and_merges_them(sweep, monkeypatch):
@@ -134,3 +145,16 @@ def test_submitit_goes_on_with_what_was_begun(sweep, here):
     begun(here)
     sweep.main(2, Path("out"), ("maze", *FLAGS))
     assert sweep.calls == [words("maze", 1, "--resume"), MERGE]
+
+
+def test_submitit_lets_a_preempted_shard_save(sweep):
+    def preempted():
+        raise KeyboardInterrupt
+
+    sweep.child.wait = preempted
+    with pytest.raises(KeyboardInterrupt):
+        sweep.main(2, Path("out"), ("maze", *FLAGS))
+    assert sweep.calls[1] == "terminated"
+    sweep.child.wait = lambda: 3
+    with pytest.raises(SystemExit, match="ended with code 3"):
+        sweep.main(2, Path("out"), ("maze", *FLAGS))

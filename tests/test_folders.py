@@ -35,7 +35,7 @@ def record(folder, number=1, **whose):
 def unfinished(folder):
     (folder / "checkpoints" / "dyna").mkdir(parents=True)
     (folder / "checkpoints" / "settings.json").write_text(json.dumps(WHOSE | {"config": {}}))
-    (folder / "checkpoints" / "dyna" / "block0.npz").write_bytes(b"hours")
+    (folder / "checkpoints" / "dyna" / "run0.npz").write_bytes(b"hours")
 
 
 def refused(folder, complaint, fresh=False, whose=None):

@@ -14,7 +14,7 @@ from renamed import respelled
 
 from jaxdyna.experiments.catch.frames import TUNED as CATCH
 from jaxdyna.experiments.engine import main
-from jaxdyna.experiments.engine.checkpoint import BlockStore
+from jaxdyna.experiments.engine.checkpoint import Store
 from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.experiments.frames import grids, training
 from jaxdyna.experiments.frames.judging import counts, judge, show
@@ -94,17 +94,17 @@ def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch
     monkeypatch.setattr(training, "PIECE", 2)
     grids.work.cache_clear()
     training.frame_work.cache_clear()
-    part, arms, saved, save = tmp_path / "part", ["--arms", "lean"], [], BlockStore.save
+    part, arms, saved, save = tmp_path / "part", ["--arms", "lean"], [], Store.save
 
-    def saving(store, kept, seconds):
-        save(store, kept, seconds)
-        saved.append(kept.done)
+    def saving(store, number, run, seconds):
+        save(store, number, run, seconds)
+        saved.append(run.done)
         if len(saved) in (1, 5):
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(BlockStore, "due", lambda store: True)
-        patch.setattr(BlockStore, "save", saving)
+        patch.setattr(Store, "due", lambda store, saved: True)
+        patch.setattr(Store, "save", saving)
         assert play(part, *arms) == 130
         assert read_curves(part / "curves.npz") == {} and saved[0] == 2
         with pytest.raises(SystemExit) as stop:

@@ -23,8 +23,8 @@ from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.experiments.maze import LEVERS, PARTS
 from jaxdyna.experiments.maze.acting import describe, learned_at, replay
 from jaxdyna.experiments.maze.arms import agent_of, arms, behaviour, held_back, model_of, parts
-from jaxdyna.experiments.maze.ladder import LADDER, SHORT, STEPS, ladder
 from jaxdyna.experiments.maze.options import LEAN, PAPER, TUNED
+from jaxdyna.experiments.maze.studies import LADDER, SHORT, STEPS, ladder
 from jaxdyna.experiments.study import arms as study_arms
 from jaxdyna.fields import changed, leaves, value_at
 from jaxdyna.planners import solve_maze
@@ -228,7 +228,7 @@ def test_interrupted_and_resumed_is_uninterrupted(finished, tmp_path, monkeypatc
     with monkeypatch.context() as patch:
         patch.setattr(Bars, "tell", interrupt)
         assert run(*arguments) == 130
-    assert list((tmp_path / "checkpoints").glob("dyna*/block*.npz"))
+    assert list((tmp_path / "checkpoints").glob("dyna*/run*.npz"))
     assert run(*arguments, "--resume") == 0
     ours, whole = (read_curves(folder / "curves.npz")["dyna"] for folder in (tmp_path, finished))
     assert_same(ours, whole)

@@ -12,8 +12,9 @@ import tiny
 from parts import assert_same
 from renamed import respelled
 
+from jaxdyna.dyna.frames import draw_state
 from jaxdyna.envs import CHANNELS, AtariPong, FrameStack, Palette, Pong, Replayed
-from jaxdyna.envs.pong_screen import mixture_of, picture_of, shares_of
+from jaxdyna.envs.pong_screen import in_channels, middles, mixture_of, picture_of, shares_of
 from jaxdyna.experiments.engine import InputError, Work, main
 from jaxdyna.experiments.engine.storage import write_curves
 from jaxdyna.experiments.pong import PARTS, frames, trained
@@ -21,10 +22,9 @@ from jaxdyna.experiments.pong.arms import arms, points
 from jaxdyna.experiments.pong.data import choose, collect, play, screens, states, take
 from jaxdyna.experiments.pong.guided import Guided, GuidedParams
 from jaxdyna.experiments.pong.options import PAPER, TUNED
-from jaxdyna.experiments.pong.world import OBJECTS, RULES, game_of, in_channels, in_colours, middles
+from jaxdyna.experiments.pong.world import OBJECTS, RULES, game_of, in_colours
 from jaxdyna.experiments.report.sections import equal_episodes
 from jaxdyna.experiments.report.summaries import comparisons
-from jaxdyna.experiments.study.frames import draw_state
 from jaxdyna.fields import changed
 from jaxdyna.networks import SignedReward
 from jaxdyna.optimizers import Trained

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxdyna.dyna.frames import draw_first_stack, draw_first_state, draw_state
 from jaxdyna.envs import Catch, CatchParams, FrameStack, Maze, MazeParams, Replayed, ReplayedParams
-from jaxdyna.experiments.study.frames import draw_first_stack, draw_first_state, draw_state
 from jaxdyna.replay import frames as frame_replay
 from jaxdyna.rollout import rollout
 

@@ -11,6 +11,7 @@ from jaxdyna.experiments.engine.record import write_report
 from jaxdyna.experiments.report import frozen, plots
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import break_even, describe_arm, restricted
+from jaxdyna.fields import changed
 from jaxdyna.statistics import SolveRule, summarise
 
 RULE = SolveRule(2, 1.0)
@@ -197,6 +198,8 @@ def test_unsolved_runs_count_each_with_its_own():
 @pytest.mark.parametrize("part", ["cartpole", "baselines"])
 def test_settings_of_arms_that_were_not_played_are_left_out(part, tmp_path):
     made = record(tmp_path, [[0, 1]] * 2, experiment="cartpole", part=part)
-    text = report.settings(SimpleNamespace(options=TUNED, results=made.results))
-    assert ("`dqn_hparams.learning_rate`" in text) == (part == "baselines")
+    options = changed(TUNED, {"cloning.learning_rate": 0.0625})
+    text = report.settings(SimpleNamespace(options=options, results=made.results))
+    for name in ("dqn_hparams.learning_rate", "cloning.learning_rate"):
+        assert (f"`{name}`" in text) == (part == "baselines")
     assert "`hparams.agent.learning_rate`" in text

@@ -28,7 +28,9 @@ exec "$python" -m "jaxdyna.experiments.$experiment" "$@" \
 script() { # BODY [FLAG ...]
   printf '#!/usr/bin/env bash\nset -euo pipefail\n'
   printf '%s=%q\n' out "$out" of "$of" python "$python" experiment "$experiment"
-  printf 'set --%s\n%s\n' "$(printf ' %q' "${@:2}")" "$1"
+  printf 'set --'
+  if [ $# -gt 1 ]; then printf ' %q' "${@:2}"; fi
+  printf '\n%s\n' "$1"
 }
 
 array=$(script "$shard" "$@" | sbatch --parsable "${said[@]}" --array="1-$of" --requeue \

@@ -49,7 +49,14 @@ class Shard:
 def play(experiment: str, *flags: str) -> None:
     """Runs one of the package's commands."""
     command = [sys.executable, "-m", f"jaxdyna.experiments.{experiment}", *flags]
-    subprocess.run(command, check=True)
+    with subprocess.Popen(command) as child:
+        try:
+            code = child.wait()
+        except BaseException:  # preempted: what it has played is saved
+            child.terminate()
+            raise
+    if code:
+        sys.exit(f"{' '.join(command)} ended with code {code}")
 
 
 def main(of: int, out: Path, words: tuple[str, ...]) -> None:

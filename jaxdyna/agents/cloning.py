@@ -5,8 +5,6 @@ by supervised learning, and model-free learning goes on from there. Unlike there
 the planner about states that the imitator comes to (no DAgger).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,7 +15,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import Checked, setting
 from jaxdyna.optimizers import Optimizer, optimizer_setting
 from jaxdyna.replay import ring
 from jaxdyna.replay.ring import Replay
@@ -60,7 +58,7 @@ def margin_loss(outputs: jax.Array, action: jax.Array, margin: float = 0.8) -> j
 
 
 @dataclass(frozen=True)
-class CloningConfig:
+class CloningConfig(Checked):
     """What decides the program."""
 
     updates: int = setting(
@@ -82,9 +80,6 @@ class CloningConfig:
         "otherwise from the imitation of the episode before.",
     )
     optimizer: Optimizer = optimizer_setting(optax.adam)
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @struct.dataclass

@@ -1,7 +1,5 @@
 """Deep Q-learning, §4.2 (Mnih et al. 2015; van Hasselt et al. 2016), from frames or vectors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

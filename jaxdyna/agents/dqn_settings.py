@@ -1,7 +1,5 @@
 """What `jaxdyna.agents.dqn` is told."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

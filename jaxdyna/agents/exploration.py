@@ -1,7 +1,5 @@
 """How much a learner that is otherwise greedy explores."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import jax

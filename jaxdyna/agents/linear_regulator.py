@@ -4,8 +4,6 @@ tries first (Kalman 1960; that it goes far with a learned model is Dean et al. 2
 That a small observation is a good one is its own assumption: it never looks at rewards.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -120,7 +118,6 @@ def linear_regulator(obs_shape: tuple[int, ...], num_actions: int, horizon: int 
     size = int(np.prod(obs_shape))
 
     def init(key: Key, hparams: LinearRegulatorHParams) -> LinearRegulator:
-        del key, hparams
         told, zeros = size + num_actions, partial(jnp.zeros, dtype=jnp.float32)
         model = LinearModel(zeros((size, size)), zeros((size, num_actions)))
         return LinearRegulator(
@@ -133,14 +130,12 @@ def linear_regulator(obs_shape: tuple[int, ...], num_actions: int, horizon: int 
         return jnp.where(state.params.any(), chosen, anything)
 
     def act_greedy(state: LinearRegulator, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
-        del key, hparams
         return linear_action(state.params, obs)
 
     def update(
         state: LinearRegulator, transitions: Transition, key: Key, hparams: LinearRegulatorHParams
     ) -> tuple[LinearRegulator, dict[str, jax.Array]]:
         """``loss`` is the mean squared error of the transitions' changes under the new model."""
-        del key
         check_transitions(transitions, 2)
         steps, weights = transitions.blanked(), transitions.weights.reshape(-1)
         flat = partial(jnp.reshape, shape=(len(weights), size))

@@ -3,8 +3,6 @@
 one policy about the next.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax
@@ -50,11 +48,9 @@ def linear_search(obs_shape: tuple[int, ...], num_actions: int) -> Agent:
     shape = num_actions, int(np.prod(obs_shape))
 
     def init(key: Key, hparams: LinearSearchHParams) -> LinearPolicy:
-        del hparams
         return LinearPolicy(jax.random.normal(key, shape))
 
     def act(state: LinearPolicy, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
-        del key, hparams
         return linear_action(state.params, obs)
 
     def update(

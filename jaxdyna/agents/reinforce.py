@@ -1,7 +1,5 @@
 """REINFORCE (Williams 1992), §3.1.2 of the paper: a small network updated after every episode."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +9,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, check_counts, check_shape, setting
+from jaxdyna.fields import Checked, check_counts, check_shape, setting
 from jaxdyna.losses import clipped_policy_gradient, discounted_returns, policy_gradient, standardise
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
@@ -69,7 +67,7 @@ class ReinforceHParams:
 
 
 @dataclass(frozen=True)
-class ReinforceConfig:
+class ReinforceConfig(Checked):
     """What decides the program."""
 
     hidden: tuple[int, ...] = setting(
@@ -90,9 +88,6 @@ class ReinforceConfig:
         1.0, "Variance of the policy's initial output weights, see jaxdyna.networks.MLP: a small "
         "one begins with all actions alike.", above=0,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def _network(num_actions: int, config: ReinforceConfig) -> MLP:
@@ -127,7 +122,6 @@ def reinforce(
         return Trained(params, opt_state)
 
     def act(state: Trained, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
-        del hparams
         return jax.random.categorical(key, logits(state.params, obs))
 
     def act_greedy(state: Trained, obs: jax.Array, *_: Any) -> jax.Array:
@@ -139,7 +133,6 @@ def reinforce(
         """Adam forgets the loss's scale, so the mean weight of the batch scales the steps
         themselves: data of weight 0.5 moves the policy half as far. The loss is the first step's.
         """
-        del key
         check_transitions(transitions, 2)
         transitions, weight = transitions.blanked(), transitions.weights
         valid = weight > 0

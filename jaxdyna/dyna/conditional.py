@@ -1,7 +1,5 @@
 """Work that some of the runs vmapped together need and others do not."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """What a run of `jaxdyna.dyna` is told: counts that decide the program, values to be swept."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

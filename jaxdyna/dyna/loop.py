@@ -4,8 +4,6 @@ It knows no particular agent, model or environment; arms of a comparison differ 
 counts it is given. What a real episode draws from its key is the same in every arm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -287,13 +285,9 @@ def _remember(dyna, state, real, recorded, episode) -> DynaState:
 
 
 def train_model(
-    dyna: Dyna,
-    config: DynaConfig,
-    state: DynaState,
-    key_sample: Key,
-    key_update: Key,
+    dyna: Dyna, config: DynaConfig, state: DynaState, key_sample: Key, key_update: Key,
     hparams: DynaHParams,
-) -> tuple[Any, Metrics]:
+) -> tuple[Any, Metrics]:  # fmt: skip
     """Gradient steps of the model on all that is remembered, each batch (of frames a large one)
     taken in its turn.
 

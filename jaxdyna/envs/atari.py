@@ -5,8 +5,6 @@ it has become. So the same state and action give the same outcome, copies are ba
 episodes by ``lax.scan``; the copies of a batch are played by a thread for each core.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -105,7 +103,6 @@ class AtariPong(Pictures):
             ``obs, state, reward, terminated, truncated, info``: the reward is 1 for a point won and
             -1 for one lost. The emulator too cuts games off, after 108,000 frames with the first.
         """
-        del key
         saved, screen, reward, over, cut = _on_host(
             state.emulator, jnp.asarray(action, jnp.int32), jnp.int32(self.frame_skip)
         )

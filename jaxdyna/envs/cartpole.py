@@ -1,7 +1,5 @@
 """CartPole (Barto, Sutton and Anderson 1983), with the constants and order of Gymnasium's."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -78,7 +76,6 @@ class CartPole(Discrete):
             ``obs [4], state, reward, terminated, truncated, info``; terminated where the cart or
             the pole is beyond its threshold, otherwise truncated at ``max_steps``.
         """
-        del key
         force = jnp.where(action == 1, params.force_mag, -params.force_mag)
         total_mass = params.masspole + params.masscart
         polemass_length = params.masspole * params.length

@@ -1,7 +1,5 @@
 """Catch with bsuite's rules (Osband et al. 2020): a ball falls, a paddle goes to meet it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -12,7 +10,7 @@ from flax import struct
 
 from jaxdyna.envs.gymnasium import Discrete, spaces
 from jaxdyna.envs.maze import enlarge
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import Checked, setting
 from jaxdyna.types import Key
 
 MOVES = np.array([-1, 0, 1], np.int32)
@@ -44,7 +42,7 @@ class CatchState:
 
 
 @dataclass(frozen=True)
-class Catch(Discrete):
+class Catch(Discrete, Checked):
     """A ball starts in the top row and falls one row a step; the paddle starts in the middle of
     the bottom row and moves left (0), stays (1) or moves right (2), staying on the board. The
     episode terminates when the ball reaches the bottom row; only that step earns anything.
@@ -60,9 +58,6 @@ class Catch(Discrete):
     columns: int = setting(5, "Of the board.", at_least=1)
     frames: bool = setting(False, "Whether it is seen as a picture.")
 
-    def __post_init__(self) -> None:
-        check(self)
-
     @property
     def default_params(self) -> CatchParams:
         """bsuite's rewards; every episode terminates, none is truncated."""
@@ -70,7 +65,6 @@ class Catch(Discrete):
 
     def reset(self, key: Key, params: CatchParams) -> tuple[jax.Array, CatchState]:
         """The ball in a random column: ``obs, state``."""
-        del params
         column = jax.random.randint(key, (), 0, self.columns, jnp.int32)
         zero, middle = jnp.int32(0), jnp.int32(self.columns // 2)
         state = CatchState(ball=jnp.stack([zero, column]), paddle=middle, time=zero)
@@ -85,7 +79,6 @@ class Catch(Discrete):
             ``obs, state, reward, terminated, truncated, info``; ``info`` has ``caught``, bool. A
             step that terminates is not truncated.
         """
-        del key
         paddle = jnp.clip(state.paddle + jnp.array(MOVES)[action], 0, self.columns - 1)
         ball = state.ball + jnp.array([1, 0], jnp.int32)
         state = CatchState(ball, paddle, state.time + 1)
@@ -111,12 +104,10 @@ class Catch(Discrete):
 
     def render(self, state: CatchState, params: CatchParams) -> jax.Array:
         """The frame for people, about 256 pixels on its longer side: `enlarge` of it."""
-        del params
         return enlarge(self.frame(state), max(1, 256 // max(self.rows, self.columns)))
 
     def observation_space(self, params: CatchParams) -> spaces.Box:
         """Zeros and ones, or bytes with ``frames``."""
-        del params
         if self.frames:
             return spaces.Box(0, 255, (self.rows, self.columns, 3), np.uint8)
         return spaces.Box(0, 1, (self.rows * self.columns,), np.float32)

@@ -1,7 +1,5 @@
 """The paper's Maze (§4.2): reach the goal through a crowd of moving obstacles, seen from above."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -105,7 +103,6 @@ class Maze(Pictures):
         """Obstacles on distinct random cells, none the agent's or the goal's, each with a random
         direction: ``obs, state``.
         """
-        del params
         key_cells, key_directions = jax.random.split(key)
         agent, goal = jnp.array([self.start_cell, self.goal_cell], jnp.int32)
         taken = np.zeros((self.size, self.size), bool)
@@ -130,7 +127,6 @@ class Maze(Pictures):
             ``obs, state, reward, terminated, truncated, info``; ``info`` has ``collision`` and
             ``at_goal``, both bool. ``terminated`` is always False.
         """
-        del key
         moves = jnp.array(MOVES)
         agent = jnp.clip(state.agent + moves[action], 0, self.size - 1)
         obstacles, directions = self.patrol(state.obstacles, state.directions)
@@ -164,7 +160,6 @@ class Maze(Pictures):
 
     def render(self, state: MazeState, params: MazeParams) -> jax.Array:
         """The frame for people, about 256 pixels a side: `enlarge` of it."""
-        del params
         return enlarge(self.frame(state), max(1, 256 // self.size))
 
 

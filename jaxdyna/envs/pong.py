@@ -1,7 +1,5 @@
 """Pong with the measures of the Atari 2600 game: its field, ball, paddles, bounces and opponent."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -64,7 +62,6 @@ class Pong(Pictures):
 
     def reset(self, key: Key, params: PongParams) -> tuple[jax.Array, PongState]:
         """The empty field some time before the first serve: ``obs, state``. Nothing is random."""
-        del key
         state = first_state(params)
         return self.frame(state), state
 
@@ -111,6 +108,5 @@ class Pong(Pictures):
 
     def render(self, state: PongState, params: PongParams) -> jax.Array:
         """The whole screen in the game's colours, twice as large: uint8 ``[420, 320, 3]``."""
-        del params
         screen = paint(empty_screen(state, Palette()), screen_masks(state), Palette())
         return screen.repeat(2, axis=0).repeat(2, axis=1)

@@ -4,8 +4,6 @@ Positions are the upper left pixel of an object on a field of 160 by 160 pixels,
 and reach a little outside; velocities are in pixels a frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import jax

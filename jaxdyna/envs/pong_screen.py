@@ -1,7 +1,5 @@
 """What `jaxdyna.envs.Pong` looks like: objects as masks, and the screen drawn from them."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax
@@ -134,6 +132,26 @@ def mixture_of(shares: jax.Array, palette: Palette) -> jax.Array:
     ground = jnp.array(palette.background, jnp.float32)
     towards = jnp.array(_in_order(palette), jnp.float32) - ground
     return jnp.clip(ground + shares.astype(jnp.float32) @ towards, 0, 255)
+
+
+def in_channels(stack: jax.Array, palette: Palette) -> jax.Array:
+    """A stack ``[..., H, W, 3 * frames]`` in these colours, each object in a channel of its own,
+    uint8. They are told by how red they are, in which they all differ.
+    """
+    if palette == CHANNELS:
+        return stack
+    reds = jnp.array([colour[0] for colour in (palette.opponent, palette.own, palette.ball)])
+    red = stack.reshape(*stack.shape[:-1], -1, 3)[..., :1]
+    return 255 * (red == reds.astype(jnp.uint8)).reshape(stack.shape).astype(jnp.uint8)
+
+
+def middles(masks: jax.Array, axis: int, scale: int = 1) -> jax.Array:
+    """Mean row or column, in pixels ``1 / scale`` as large, of a thing in each frame of ``[H, W,
+    frames]``: ``[frames]``, 0 where there is none.
+    """
+    profile = masks.sum(1 - axis)
+    numbers = jnp.arange(profile.shape[0]) + 0.5
+    return scale * (numbers @ profile) / jnp.maximum(profile.sum(0), 1)
 
 
 def _in_order(palette: Palette) -> tuple[tuple[int, int, int], ...]:

@@ -1,7 +1,5 @@
 """Environments around environments: frames stacked, episodes that begin elsewhere."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,18 +10,15 @@ import numpy as np
 from flax import struct
 
 from jaxdyna.envs.gymnasium import spaces
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import Checked, setting
 from jaxdyna.types import Environment, Key
 
 
 @dataclass(frozen=True)
-class Wrapper:
+class Wrapper(Checked):
     """The environment's own, where a wrapper says nothing else."""
 
     env: Environment = setting(help="What is wrapped.")
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def default_params(self) -> Any:

@@ -9,7 +9,6 @@ from pathlib import Path
 import tyro
 
 from jaxdyna.experiments.engine import Curves, Experiment, Record, Results, cli, folders, storage
-from jaxdyna.experiments.engine.experiment import entries
 from jaxdyna.experiments.engine.record import different, recorded, results_of, write_report
 from jaxdyna.experiments.engine.work import SHOWN, joined
 from jaxdyna.fields import setting
@@ -29,34 +28,30 @@ class Call:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Merges, and returns the exit code.
+    """Merges, by the arguments or the process's, and returns the exit code: see `cli.command`."""
+    words = sys.argv[1:] if argv is None else argv
+    return cli.command(
+        Call, f"DIR... --out DIR\n\n{Call.__doc__}", PROG, words or ["--help"], merge
+    )
 
-    Args:
-        argv: the arguments, by default the process's.
+
+def merge(call: Call, argv: Sequence[str]) -> int:
+    """Makes the record.
 
     Raises:
-        SystemExit: with code 2 and one line where the folders are not those of one run.
+        ValueError: where the folders are not those of one run.
     """
-    cli.spell_out()
-    argv = list(sys.argv[1:] if argv is None else argv)
-    if not argv or {"-h", "--help"} & set(argv):
-        print(f"usage: {PROG} DIR... --out DIR\n\n{Call.__doc__}")
-        return 0
-    call = cli.read(Call, argv, PROG)
-    try:
-        if not call.folders or len({one.resolve() for one in call.folders}) < len(call.folders):
-            raise ValueError("give the folder of each shard, each of them once")
-        shards = {folder: storage.read_json(folder / "results.json") for folder in call.folders}
-        _check(shards, call.out)
-        experiment, record = _merged(shards, f"{PROG} {shlex.join(argv)}", call.out)
-        with folders.held(call.out):
-            folders.claim(call.out, {name: record.results[name] for name in WHOSE}, fresh=False)
-            whose = storage.identity(record.results)
-            storage.write_curves(call.out / "curves.npz", record.curves, whose)
-            storage.write_json(call.out / "results.json", record.results)
-            write_report(experiment, record)
-    except ValueError as error:
-        cli.fail(str(error), PROG)
+    if not call.folders or len({one.resolve() for one in call.folders}) < len(call.folders):
+        raise ValueError("give the folder of each shard, each of them once")
+    shards = {folder: storage.read_json(folder / "results.json") for folder in call.folders}
+    _check(shards, call.out)
+    experiment, record = _merged(shards, f"{PROG} {shlex.join(argv)}", call.out)
+    with folders.held(call.out):
+        folders.claim(call.out, {name: record.results[name] for name in WHOSE}, fresh=False)
+        whose = storage.identity(record.results)
+        storage.write_curves(call.out / "curves.npz", record.curves, whose)
+        storage.write_json(call.out / "results.json", record.results)
+        write_report(experiment, record)
     print(f"Report: {call.out / 'report.md'}")
     return 0
 
@@ -95,7 +90,7 @@ def _merged(shards: Shards, command: str, out: Path) -> tuple[Experiment, Record
     """The record of all shards together, and the experiment whose it is."""
     shards = dict(sorted(shards.items(), key=lambda shard: min(shard[1]["runs"]["seeds"])))
     first, *_ = every = list(shards.values())
-    experiment, options, sweep = recorded(first)
+    experiment, options, setups = recorded(first)
     spent = {
         name: {part: sum(one["timing"]["arms"].get(name, {}).get(part, 0.0) for one in every)
                for part in seconds}
@@ -110,7 +105,6 @@ def _merged(shards: Shards, command: str, out: Path) -> tuple[Experiment, Record
         "runs": first["runs"] | {"seeds": list(range(first["runs"]["of"])), "shard": [1, 1]},
         "timing": {"arms": spent, "total_s": total_s, "shards": len(every)},
     }
-    setups = {entry.name: entry.options for entry in entries(experiment, options, sweep)}
     curves = _together(shards, list(first["arms"]))
     results = results_of(experiment, options, setups, curves, about)
     return experiment, Record(options, results, curves, out)

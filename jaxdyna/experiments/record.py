@@ -7,7 +7,6 @@ before they were made. A record is the folder of its name.
 """
 
 import importlib
-import os
 import shlex
 import signal
 import subprocess
@@ -25,7 +24,7 @@ from rich.table import Table
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine import Record, Results, cli, folders, storage
-from jaxdyna.experiments.engine.experiment import chosen, entries
+from jaxdyna.experiments.engine.experiment import chosen
 from jaxdyna.experiments.engine.record import recorded, results_of, write_report
 from jaxdyna.experiments.engine.session import Session, flags_between, identity_of, prepared
 from jaxdyna.experiments.report.summaries import compare
@@ -154,36 +153,32 @@ class State:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
+    """Does what the arguments, or the process's, ask for, and returns the exit code: see
+    `cli.command`.
+    """
+    flags = [f"  --{leaf.path}: {leaf.help}" for leaf in fields.leaves(Call())][1:]
+    usage = "\n".join(["[NAME...]", "", str(Call.__doc__), "", *flags])
+    return cli.command(Call, usage, PROG, argv, run)
+
+
+def run(call: Call, argv: Sequence[str]) -> int:
     """Lists, records, redraws or compares, and returns the exit code.
 
-    Args:
-        argv: the arguments, by default the process's.
-
     Raises:
-        SystemExit: with code 2 and one line on bad input.
+        ValueError: where what is asked for cannot be.
     """
-    cli.spell_out()
-    argv = [*(sys.argv[1:] if argv is None else argv)]
-    if {"-h", "--help"} & set(argv):
-        flags = [f"  --{leaf.path}: {leaf.help}" for leaf in fields.leaves(Call())][1:]
-        print("\n".join([f"usage: {PROG} [NAME...]", "", str(Call.__doc__), "", *flags]))
-        return 0
-    call = cli.read(Call, argv, PROG)
-    try:
-        plans, _ = read_plans(call.book), call.part
-        if unknown := [name for name in call.names if name not in plans]:
-            raise ValueError(f"{unknown[0]}: no such record; there are {', '.join(plans)}")
-        asked = {name: plan for name, plan in plans.items() if name in call.names} or plans
-        if call.primary:
-            print(primary(call.book, call.folder))
-        elif call.redraw:
-            redraw(asked, call.folder)
-        elif call.list or not call.names:
-            listed(asked, plans, call.folder)
-        else:
-            return record(asked.values(), call, [word for word in argv if word != "--fresh"])
-    except ValueError as error:
-        cli.fail(str(error), PROG)
+    plans, _ = read_plans(call.book), call.part
+    if unknown := [name for name in call.names if name not in plans]:
+        raise ValueError(f"{unknown[0]}: no such record; there are {', '.join(plans)}")
+    asked = {name: plan for name, plan in plans.items() if name in call.names} or plans
+    if call.primary:
+        print(primary(call.book, call.folder))
+    elif call.redraw:
+        redraw(asked, call.folder)
+    elif call.list or not call.names:
+        listed(asked, plans, call.folder)
+    else:
+        return record(asked.values(), call, [word for word in argv if word != "--fresh"])
     return 0
 
 
@@ -228,8 +223,8 @@ def listed(asked: Mapping[str, Plan], plans: Mapping[str, Plan], folder: Path) -
 def _where(folder: Path, results: Results | None) -> str:
     """The commit that played it and the day that put it here; where it does not say, by which."""
     commit = (results or {}).get("commit")
-    said = _git(folder.parent, "log", "-1", "--format=%h %as", "--", f"{folder.name}/results.json")
-    put, _, day = said.partition(" ")
+    asked = "log", "-1", "--format=%h %as", "--", f"{folder.name}/results.json"
+    put, _, day = (storage.git(folder.parent, *asked) or "").partition(" ")
     ran = f"{commit['id'][:7]}{'' if commit['clean'] else ' with changes'}" if commit else put
     return f"{ran} {day}".strip() or "-"
 
@@ -247,7 +242,8 @@ def record(plans: Collection[Plan], call: Call, argv: Sequence[str]) -> int:
     Raises:
         ValueError: where what is recorded could not be named by a commit, or would confirm nothing.
     """
-    commit, changed = storage.commit(), _git(call.book, "status", "--porcelain", "--", *TABLES)
+    commit = storage.commit()
+    changed = storage.git(call.book, "status", "--porcelain", "--", *TABLES)
     if not call.unclean and (not commit or not commit["clean"] or changed):
         raise ValueError("code or lab book have changes that no commit names: commit them, or add "
                          "--unclean")  # fmt: skip
@@ -333,9 +329,8 @@ def redraw(plans: Mapping[str, Plan], folder: Path) -> None:
         if state.results is None or state.stale:
             print(f"{name}: not drawn ({state})")
             continue
-        experiment, options, sweep = recorded(state.results)
+        experiment, options, setups = recorded(state.results)
         curves = storage.read_curves(out / "curves.npz", storage.identity(state.results))
-        setups = {entry.name: entry.options for entry in entries(experiment, options, sweep)}
         with folders.held(out):
             results = results_of(experiment, options, setups, curves, state.results)
             storage.write_json(out / "results.json", results)
@@ -377,15 +372,6 @@ def _compared(said: Mapping[str, Any], folder: Path) -> Results | None:
         return None
     one, other = said["arms"]
     return compare({one: arms[one], other: arms[other]}, other, said["measure"])[one]
-
-
-def _git(folder: Path, *words: str) -> str:
-    """What git says of a folder; nothing where it knows none."""
-    command = ["git", "-C", os.fspath(folder), *words]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return ""
 
 
 if __name__ == "__main__":

@@ -1,7 +1,5 @@
 """The adversarial loss of §4.3: a discriminator that tells predicted frames from real ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -12,7 +10,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, check_shape, setting
+from jaxdyna.fields import Checked, check_shape, setting
 from jaxdyna.losses import deceive, discern
 from jaxdyna.networks import Discriminator
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
@@ -42,14 +40,11 @@ gan_adam = partial(optax.adam, b1=0.5)
 
 
 @dataclass(frozen=True)
-class AdversaryConfig:
+class AdversaryConfig(Checked):
     """What decides the program."""
 
     network: Any = setting(Discriminator(), "A module from pictures [N, H, W, C] to log odds [N].")
     optimizer: Optimizer = optimizer_setting(gan_adam, gan_adam=gan_adam)
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 class Adversary(NamedTuple):

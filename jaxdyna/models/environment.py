@@ -1,7 +1,5 @@
 """A learned model as an environment: its weights travel in the params slot."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from jaxdyna.envs.maze import enlarge
-from jaxdyna.fields import SettingError, check, setting
+from jaxdyna.fields import Checked, SettingError, setting
 from jaxdyna.types import Environment, Key, Prediction
 
 
@@ -62,14 +60,12 @@ def threshold_rule(prediction: Prediction, params: LearnedParams, key: Key) -> j
     where the model is more uncertain than ``uncertainty_threshold``: what is not known is as bad as
     the end (the pessimism of MOReL, Kidambi et al. 2020). A bool scalar, as of every rule here.
     """
-    del key
     ends = prediction.terminated > params.hparams.termination_threshold
     return ends | (prediction.uncertainty > params.hparams.uncertainty_threshold)
 
 
 def probability_rule(prediction: Prediction, params: LearnedParams, key: Key) -> jax.Array:
     """Terminates where the predicted probability exceeds `DreamHParams.termination_threshold`."""
-    del key
     return prediction.terminated > params.hparams.termination_threshold
 
 
@@ -83,7 +79,6 @@ def uncertain(prediction: Prediction, params: LearnedParams) -> jax.Array:
 
 def never(prediction: Prediction, params: LearnedParams) -> jax.Array:
     """Trusts every prediction."""
-    del prediction, params
     return jnp.bool_(False)
 
 
@@ -101,7 +96,7 @@ def uniform_start(low: float, high: float) -> Callable[[Key, Any], jax.Array]:
 
 
 @dataclass(frozen=True)
-class LearnedEnvironment:
+class LearnedEnvironment(Checked):
     """What a `DynamicsModel` believes, played like any environment.
 
     Attributes:
@@ -118,9 +113,6 @@ class LearnedEnvironment:
     start: Callable[[Key, Any], jax.Array]
     terminates: Callable[[Prediction, LearnedParams, Key], jax.Array] = threshold_rule
     truncates: Callable[[Prediction, LearnedParams], jax.Array] = never
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def default_params(self) -> LearnedParams:

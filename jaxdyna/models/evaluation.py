@@ -1,7 +1,5 @@
 """How good a dynamics model is, one step ahead and fed with its own predictions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

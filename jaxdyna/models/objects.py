@@ -5,8 +5,6 @@ instead of shades: every edge comes to lie somewhere, one of a few places, as th
 discrete world model do (Micheli et al. 2023).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,22 +14,16 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from jaxdyna.fields import check, check_counts, check_shape, setting
-from jaxdyna.networks.objects import (
-    EdgeOdds,
-    RectangleDynamics,
-    Rectangles,
-    Resolution,
-    drawn,
-    rectangles_of,
-)
+from jaxdyna.fields import Checked, check_counts, check_shape, setting
+from jaxdyna.networks import RectangleDynamics, Resolution
+from jaxdyna.networks.objects import EdgeOdds, Rectangles, drawn, rectangles_of
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
 from jaxdyna.trees import where
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition, check_transitions
 
 
 @dataclass(frozen=True)
-class RectangleConfig:
+class RectangleConfig(Checked):
     """What decides the program."""
 
     told: Resolution = setting(
@@ -57,9 +49,6 @@ class RectangleConfig:
         1.0, "Weight of the reward's cross-entropy beside the edges'.", at_least=0
     )
     optimizer: Optimizer = optimizer_setting(optax.adam)
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def rectangles(
@@ -162,7 +151,6 @@ def _learner(
         one_hot = jax.nn.one_hot(batch.action, num_actions)
 
         def true(odds: EdgeOdds, group: Sequence[int]) -> Rectangles:
-            del odds
             at = jnp.array(group)
             return Rectangles(truth.edge[:, at], truth.seen[:, at])
 
@@ -223,7 +211,6 @@ def _expected_wrong(odds: EdgeOdds, then: Rectangles) -> jax.Array:
 
 
 def _likeliest(odds: EdgeOdds, group: Sequence[int]) -> Rectangles:
-    del group
     edge = jnp.concatenate([odds.rows.argmax(-1), odds.columns.argmax(-1)], axis=-1)
     return _tidy(edge, odds.seen > 0)
 

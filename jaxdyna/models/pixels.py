@@ -1,7 +1,5 @@
 """Action-conditional prediction of the next frame (§3.2 and Fig. 4; Oh et al. 2015)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +10,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, check_counts, check_shape, setting
+from jaxdyna.fields import Checked, check_counts, check_shape, setting
 from jaxdyna.losses import PixelLoss, bce, l1, l2
 from jaxdyna.models.adversarial import AdversarialHParams, Adversary, gan_adam
 from jaxdyna.networks import FrameModel, LocalDynamics, LocalReward
@@ -31,7 +29,7 @@ class PixelHParams:
 
 
 @dataclass(frozen=True)
-class PixelConfig:
+class PixelConfig(Checked):
     """What decides the program."""
 
     network: Any = setting(
@@ -60,9 +58,6 @@ class PixelConfig:
     shades: bool = setting(
         False, "Pixels keep what is believed of them, as a shade; the threshold does not count."
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @struct.dataclass
@@ -148,7 +143,6 @@ def _learner(
         state: PixelState, transitions: Transition, key: Key, hparams: PixelHParams
     ) -> tuple[PixelState, dict[str, jax.Array]]:
         """One gradient step; ``metrics`` are the mean losses of a transition."""
-        del key
         check_transitions(transitions)
         lead = transitions.mask.ndim
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[lead:]), transitions)

@@ -1,7 +1,5 @@
 """The dynamics model of Eq. 1: an MLP that predicts next state, reward and end of the episode."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +11,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import check, check_counts, setting
+from jaxdyna.fields import Checked, check_counts, setting
 from jaxdyna.losses import transition_loss
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
@@ -31,7 +29,7 @@ class SupervisedHParams:
 
 
 @dataclass(frozen=True)
-class SupervisedConfig:
+class SupervisedConfig(Checked):
     """What decides the program. The defaults are the paper's (§3.1)."""
 
     hidden: tuple[int, ...] = setting(
@@ -64,9 +62,6 @@ class SupervisedConfig:
         1.0, "Variance of the initial weights, see jaxdyna.networks.MLP.", above=0
     )
     optimizer: Optimizer = optimizer_setting(optax.sgd)
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @struct.dataclass

@@ -9,8 +9,6 @@ has far more channels coming in than going out is the same the other way round: 
 about, not the many.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import jax

@@ -1,7 +1,5 @@
 """The next picture, the reward and the end from a stack of pictures and an action."""
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 import optax
@@ -30,7 +28,6 @@ class LocalDynamics(Sized):
         """From pictures ``[N, H, W, C]`` in [0, 1] and actions ``[N, actions]`` (one-hot) to the
         raw next picture ``[N, H, W, channels]`` and the features under it ``[N, H, W, width]``.
         """
-        del train, valid
         x = jnp.concatenate([stack, jnp.ones_like(stack[..., :1])], axis=-1)
         for number, width in enumerate(self.widths):
             x = Convolution(width, 3, 1)(x)
@@ -124,7 +121,6 @@ class JointReward(nn.Module):
     @nn.compact
     def __call__(self, features: jax.Array, next_frame: jax.Array) -> tuple[jax.Array, jax.Array]:
         """From features ``[N, ...]`` to rewards ``[N]``, at no charge."""
-        del next_frame
         reward = nn.Dense(1)(features.reshape(features.shape[0], -1))[..., 0]
         return reward, jnp.zeros_like(reward)
 
@@ -138,7 +134,6 @@ class SignedReward(nn.Module):
     @nn.compact
     def __call__(self, features: jax.Array, next_frame: jax.Array) -> tuple[jax.Array, jax.Array]:
         """From features ``[N, ...]`` to rewards ``[N]``, at no charge."""
-        del next_frame
         odds = nn.Dense(2)(features.reshape(features.shape[0], -1))
         reward = jax.nn.sigmoid(odds[:, 0]) - jax.nn.sigmoid(odds[:, 1])
         return reward, jnp.zeros_like(reward)
@@ -163,7 +158,6 @@ class ClassReward(Sized):
         """From features ``[N, ...]`` to rewards ``[N]`` and the classes' log odds ``[N, classes]``,
         which `error` takes.
         """
-        del next_frame
         x = features.reshape(features.shape[0], -1)
         for width in self.hidden:
             x = nn.relu(nn.Dense(width)(x))
@@ -172,7 +166,6 @@ class ClassReward(Sized):
 
     def error(self, reward: jax.Array, odds: jax.Array, truth: jax.Array) -> jax.Array:
         """The weighted cross-entropy ``[N]`` of what the head says and the true rewards ``[N]``."""
-        del reward
         label = jnp.abs(truth[:, None] - jnp.asarray(self.rewards)).argmin(-1)
         entropy = optax.softmax_cross_entropy_with_integer_labels(odds, label)
         return jnp.asarray(self.weights)[label] * entropy

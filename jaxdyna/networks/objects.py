@@ -6,8 +6,6 @@ happens: walls and other things are told by how far they are, so that what was s
 is known at every other (relational inductive biases, Battaglia et al. 2018).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Large frames, cut into patches: any network of small pictures serves there too."""
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 from flax import linen as nn

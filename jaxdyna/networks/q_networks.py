@@ -1,7 +1,5 @@
 """Values of actions from pictures and vectors."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,7 +1,5 @@
 """What planners take and return, the same for each of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
@@ -68,8 +66,6 @@ def rollout_value(
     check_counts(num_steps=num_steps)
 
     def value(obs: jax.Array, state: Any, key: Key) -> jax.Array:
-        del obs
-
         def step(carry, _):
             state, alive, weight, total, key = carry
             key, key_action, key_step = jax.random.split(key, 3)

@@ -4,8 +4,6 @@ model is searched as MuZero searches its own (Schrittwieser et al. 2020).
 The ``planning`` extra brings mctx; nothing else needs it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -13,14 +11,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.fields import check, setting
+from jaxdyna.fields import Checked, setting
 from jaxdyna.planners.decision import Decision, Guide, Planner
 from jaxdyna.trees import where
 from jaxdyna.types import Environment, Key
 
 
 @dataclass(frozen=True)
-class SearchConfig:
+class SearchConfig(Checked):
     """What decides the program."""
 
     simulations: int = setting(32, "Nodes that the tree grows by: steps of the world.", at_least=1)
@@ -40,9 +38,6 @@ class SearchConfig:
         0.0, "Temperature of the visits that muzero draws its action by; 0 takes the most visited.",
         at_least=0, infinite=True,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 class Node(NamedTuple):

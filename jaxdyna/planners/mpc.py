@@ -6,8 +6,6 @@ A reward is seen only within the horizon: it has to reach as far as the goal is,
 step: there is no warm start.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -15,14 +13,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.fields import SettingError, check, setting
+from jaxdyna.fields import Checked, SettingError, setting
 from jaxdyna.planners.decision import Decision, Guide, Planner, Value
 from jaxdyna.trees import as_held, where
 from jaxdyna.types import Environment, Key
 
 
 @dataclass(frozen=True)
-class ShootingConfig:
+class ShootingConfig(Checked):
     """What decides the program."""
 
     horizon: int = setting(20, "Steps that are looked ahead.", at_least=1)
@@ -47,9 +45,6 @@ class ShootingConfig:
         1, "Episodes that a sequence is judged by, for a world that is random.", at_least=1
     )
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True)
 class CrossEntropyConfig(ShootingConfig):
@@ -69,15 +64,9 @@ class CrossEntropyConfig(ShootingConfig):
 
 
 def score(
-    env: Environment,
-    env_params: Any,
-    obs: jax.Array,
-    state: Any,
-    actions: jax.Array,
-    key: Key,
-    discount: float = 1.0,
-    value: Value | None = None,
-) -> jax.Array:
+    env: Environment, env_params: Any, obs: jax.Array, state: Any, actions: jax.Array, key: Key,
+    discount: float = 1.0, value: Value | None = None,
+) -> jax.Array:  # fmt: skip
     """The return of a sequence of actions: the discounted rewards up to the end of the episode and
     ``value`` of where it is left, unless the world has ended there.
 

@@ -4,8 +4,6 @@ Obstacles move whatever the agent does, so their whole way is known at the start
 what remains is a finite-horizon problem over the agent's cell.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax

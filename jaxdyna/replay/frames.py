@@ -9,8 +9,6 @@ the Maze's 16x16 RGB frames, in episodes of 200 steps, a transition takes 802 by
 of four frames it would take more than 6,144. A vector is a frame as well, of one axis.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The replays as `jaxdyna.dyna` is given them, see `jaxdyna.types.Memory`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -21,7 +19,6 @@ def transitions() -> Memory:
     """`jaxdyna.replay.ring`; rare are transitions that ended an episode."""
 
     def start(capacity: int, episodes: int, example: Transition, recorded: Any) -> Replay:
-        del episodes, recorded
         return ring.init(capacity, example)
 
     def draw_some(
@@ -36,7 +33,6 @@ def transitions() -> Memory:
         return replace(held, added=jnp.where(when, 0, held.added))
 
     def put(held: Replay, new: Transition, recorded: Any, number: jax.Array) -> Replay:
-        del recorded, number
         return ring.add(held, new, new.mask)
 
     return Memory(start, put, draw_some, ring.take, forget)
@@ -58,7 +54,6 @@ def frames(
         return frame_replay.init(capacity, episodes, example, num_frames, beside)
 
     def put(held: FrameReplay, new: Transition, recorded: Any, number: Any) -> FrameReplay:
-        del number
         return frame_replay.add(held, new, keep(recorded))
 
     def draw_some(

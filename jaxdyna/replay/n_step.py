@@ -1,7 +1,5 @@
 """A few successive transitions at a time, for n-step learning."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax

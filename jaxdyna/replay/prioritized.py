@@ -1,7 +1,5 @@
 """Transitions drawn the more often, the more there is to learn from them (Schaul et al. 2016)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import jax

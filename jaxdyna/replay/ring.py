@@ -1,7 +1,5 @@
 """A ring buffer over any pytree: the newest ``capacity`` items."""
 
-from __future__ import annotations
-
 import chex
 import jax
 import jax.numpy as jnp

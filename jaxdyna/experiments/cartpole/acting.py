@@ -10,6 +10,8 @@ from jaxdyna.experiments.report import frozen
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import first_dreams
 
+FEW = {"seeds": 4, "stop_after_solved": 0}
+
 
 def papers(record: Any) -> tuple[dict[str, float], dict[str, float]]:
     """The paper's own figures and ratio, where they are of this environment."""
@@ -21,13 +23,8 @@ CARTPOLE = Experiment(
     name="cartpole",
     title="CartPole",
     presets={"tuned": TUNED, "lean": LEAN, "paper": PAPER},
-    quick={
-        "tuned": {"seeds": 4, "episodes": 400, "stop_after_solved": 0},
-        "lean": {"seeds": 4, "stop_after_solved": 0},
-        "paper": {"seeds": 4, "episodes": 400, "stop_after_solved": 0},
-    },
-    arms=arms,
-    rule=rule,
+    quick={"tuned": FEW | {"episodes": 400}, "lean": FEW, "paper": FEW | {"episodes": 400}},
+    arms=arms, rule=rule,
     describe=(first_dreams, model.describe, frozen.describe(rule)),
     sections=(
         lambda record: report.solving(rule, *papers(record))(record),

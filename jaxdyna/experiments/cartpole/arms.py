@@ -11,13 +11,13 @@ import numpy as np
 
 from jaxdyna import agents, models, networks, planners
 from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, DynaState, survived
+from jaxdyna.dyna.experts import acting, random_episodes, without_guide
+from jaxdyna.dyna.frames import learned_params
 from jaxdyna.envs import CartPole, CartPoleParams
 from jaxdyna.experiments.cartpole import model
 from jaxdyna.experiments.cartpole.options import CartPoleOptions, rule
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
-from jaxdyna.experiments.study.frames import learned_params
-from jaxdyna.experiments.study.planners import acting, random_episodes, without_guide
 from jaxdyna.models.evaluation import Predict, change_error
 from jaxdyna.replay import memory, ring
 from jaxdyna.trees import where
@@ -72,57 +72,49 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
     late = replace(hparams, num_real_first=config.num_real_first + options.shown_episodes)
 
     def dreamless(dyna: Dyna) -> Any:
-        dyna, alone = dyna._replace(dream=None), replace(config, dream_updates=0)
-        return study.dyna_arm(dyna, alone, hparams, hooks)
+        dyna, fewer = dyna._replace(dream=None), replace(config, dream_updates=0)
+        return study.dyna_arm(dyna, fewer, hparams, hooks)
 
-    def linear_arm(agent: Callable[..., Agent], values: Any) -> Any:
-        return study.dyna_arm(linear(dyna, agent), config, replace(hparams, agent=values), hooks)
+    def linear(agent: Callable[..., Agent], values: Any) -> Any:
+        return study.dyna_arm(alone(agent), config, replace(hparams, agent=values), hooks)
 
     def shown(agent: agents.ReinforceConfig = options.agent) -> Dyna:
         imitating = dyna._replace(agent=imitator(agent, options.cloning))
         return acting(imitating, shooting, options.mpc, without_guide, options.shown_episodes)
 
     busy = replace(options.agent, epochs=options.agent.epochs + config.dream_updates)
-
+    busier = unless_safe(alone(agents.reinforce, busy)._replace(safe=dyna.safe))
     shooting, resting = planners.random_shooting, with_agent(dyna, update_expert=learn_nothing)
     at_leaves = random_episodes(dream.env, options.mcts.discount, options.mcts_rollout)
     return made | {
-        "max_updates": lambda: study.dyna_arm(
-            unless_safe(_reinforced(busy)._replace(safe=dyna.safe)), config, hparams, hooks
-        ),
+        "max_updates": lambda: study.dyna_arm(busier, config, hparams, hooks),
         "dqn": lambda: study.dyna_arm(*learner(options), hooks),
         "mpc": lambda: dreamless(acting(resting, shooting, options.mpc, without_guide)),
         "mcts": lambda: dreamless(acting(resting, planners.muzero, options.mcts, at_leaves)),
         "mpc_init": lambda: dreamless(unless_safe(shown(busy))),
         "mpc_init_dyna": lambda: study.dyna_arm(shown(), config, late, hooks),
         "mpc_clone": lambda: dreamless(with_agent(shown(), update=learn_nothing)),
-        "random_search": lambda: linear_arm(
+        "random_search": lambda: linear(
             agents.linear_search, agents.LinearSearchHParams(rule(options).threshold)
         ),
-        "linear_model": lambda: linear_arm(
-            agents.linear_regulator, agents.LinearRegulatorHParams()
-        ),
+        "linear_model": lambda: linear(agents.linear_regulator, agents.LinearRegulatorHParams()),
     }
 
 
 def learner(options: CartPoleOptions) -> tuple[Dyna, DynaConfig, DynaHParams]:
     """What the arm ``dqn`` is made of."""
-    alone = replace(options.dyna, dream_updates=0)
+    dreamless = replace(options.dyna, dream_updates=0)
     network = networks.PerceptronQ(CartPole().num_actions, options.dqn_hidden)
-    config = replace(study.sized(options.dqn, alone, "dqn"), network=network)
-    return _learner(config), alone, replace(options.hparams, agent=options.dqn_hparams)
+    config = replace(study.sized(options.dqn, dreamless, "dqn"), network=network)
+    hparams = replace(options.hparams, agent=options.dqn_hparams)
+    return alone(agents.dqn, config), dreamless, hparams
 
 
 @cache
-def _reinforced(agent: agents.ReinforceConfig) -> Dyna:
+def alone(make: Callable[..., Agent], *config: Any) -> Dyna:
+    """An agent without a model: one object, and so one program, for the same settings."""
     env = CartPole()
-    return Dyna(env, agents.reinforce((4,), env.num_actions, agent), memory=None)
-
-
-@cache
-def _learner(config: agents.DQNConfig) -> Dyna:
-    env = CartPole()
-    return Dyna(env, agents.dqn((4,), env.num_actions, config), memory=None)
+    return Dyna(env, make((4,), env.num_actions, *config), memory=None)
 
 
 def parts(options: CartPoleOptions) -> Dyna:
@@ -181,13 +173,6 @@ def overwrite_angle(predict: Predict) -> Predict:
         return prediction._replace(next_obs=prediction.next_obs.at[2].set(angle))
 
     return slipped
-
-
-@cache
-def linear(dyna: Dyna, agent: Callable[..., Agent]) -> Dyna:
-    """Without a model, and with an agent whose policy is a linear function of the state."""
-    acting = agent((4,), dyna.env.num_actions)
-    return dyna._replace(agent=acting, model=None, dream=None, diagnose=None, safe=None)
 
 
 @cache

@@ -97,7 +97,7 @@ WORSE: Rows = {
     **CONTROLS,
 }  # fmt: skip
 ALONE = baselines(
-    "dqn", "dqn_hparams", ratios=(0.5, 1, 2, 4), rates=(3e-4, 1e-3), between=5000,
+    "dqn", "dqn_hparams", ratios=(0.5, 1, 2, 4), between=5000,
     said=lambda ratio: {"dqn.updates_per_step": float(ratio)},
 )  # fmt: skip
 DREAMING: Rows = {

@@ -6,20 +6,19 @@ from typing import Any, ClassVar, Literal, Self
 
 from jaxdyna.agents import DQNConfig, DQNHParams, dqn
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
+from jaxdyna.dyna.frames import frame_dyna, true_dyna
 from jaxdyna.envs import Catch, CatchParams, FrameStack
 from jaxdyna.experiments.engine import Experiment, Options
 from jaxdyna.experiments.report import frozen
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
 from jaxdyna.experiments.study import arms as study
-from jaxdyna.experiments.study.frames import frame_dyna, true_dyna
 from jaxdyna.fields import LARGEST, changed, setting
 from jaxdyna.models import PixelConfig, PixelHParams, pixels
 from jaxdyna.networks import GlimpseQ, LocalDynamics, LocalReward
 from jaxdyna.rollout import rollout
 from jaxdyna.statistics import SolveRule, mean_of_runs
 
-RULE = SolveRule(50, 0.9)
 JUDGED = 200
 
 
@@ -68,6 +67,11 @@ class CatchOptions(Options):
             "dyna.dream_steps": min(self.dyna.dream_steps or steps, steps),
             "hparams.env.max_steps": steps,
         })  # fmt: skip
+
+
+def rule(options: CatchOptions) -> SolveRule:
+    """When a run counts as solved."""
+    return SolveRule(50, 0.9)
 
 
 @cache
@@ -149,15 +153,11 @@ CATCH = Experiment(
     presets={"tuned": TUNED, "lean": LEAN},
     quick={"tuned": {"seeds": 2, "episodes": 120}, "lean": {"seeds": 2, "episodes": 60}},
     arms=arms,
-    rule=lambda options: RULE,
-    describe=(describe, frozen.describe(lambda options: RULE)),
+    rule=rule,
+    describe=(describe, frozen.describe(rule)),
     sections=(
-        report.solving(lambda options: RULE),
-        report.learning_curves(lambda options: RULE),
-        report.thresholds(lambda options: RULE),
-        frozen.frozen(lambda options: RULE),
-        report.endings(lambda options: RULE),
-        report.behaviour(report.WRONG, 10),
+        report.solving(rule), report.learning_curves(rule), report.thresholds(rule),
+        frozen.frozen(rule), report.endings(rule), report.behaviour(report.WRONG, 10),
         final, report.arms_said(study.SAID), report.settings, report.spent,
     ),
 )  # fmt: skip

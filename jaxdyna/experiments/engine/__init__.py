@@ -1,15 +1,8 @@
 """The one engine: it plays, saves, resumes, sweeps, shards and reports any experiment."""
 
-from jaxdyna.experiments.engine.checkpoint import InputError
-from jaxdyna.experiments.engine.experiment import (
-    Experiment,
-    Options,
-    Overrides,
-    Record,
-    Results,
-    Study,
-)
+from jaxdyna.experiments.engine.experiment import Experiment, Options, Overrides, Record, Study
 from jaxdyna.experiments.engine.session import main
+from jaxdyna.experiments.engine.storage import InputError, Results
 from jaxdyna.experiments.engine.work import Arm, Curves, Engine, Runs, Work, runs_of
 
 __all__ = [

@@ -8,7 +8,7 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar, get_args
@@ -42,7 +42,9 @@ class Call:
         None, "a results.json: all settings as there, but for those that are given"
     )
     cache: bool = setting(
-        True, "keep compiled programs in the user's cache folder, and use what is there"
+        True,
+        "keep compiled programs in the user's cache folder and use what is there; "
+        "--no-cache: neither",
     )
     shard: str | None = setting(
         None, "I/N: the I-th of N equal parts of the runs; `merge` puts them together"
@@ -169,11 +171,8 @@ def help_text(
             if leaf.path not in hidden and (leaf.everyday or everything or title == "call"):
                 words = arms if leaf.path == "arms" else ()
                 lines += _flag(leaf, width, words, "" if title == "call" else "None")
-    lines += [
-        "  --help, --help-all",
-        "      this; with all settings" if not everything else "      this",
-    ]
-    return "\n".join(lines)
+    more = "" if everything else "; with all settings"
+    return "\n".join([*lines, "  --help, --help-all", f"      this{more}"])
 
 
 def _shown(default: Any) -> list[Leaf]:
@@ -204,6 +203,28 @@ def spell_out() -> None:
     """
     if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.encoding.startswith("utf"):
         sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def command(
+    kind: type[O], usage: str, prog: str, argv: Sequence[str] | None,
+    run: Callable[[O, Sequence[str]], int],
+) -> int:  # fmt: skip
+    """The ``main`` of a command that is no experiment: calls ``run`` with what the arguments, by
+    default the process's, say of the fields of a dataclass, and with these; returns the exit code.
+
+    Raises:
+        SystemExit: with code 2 and one line on bad input.
+    """
+    spell_out()
+    argv = sys.argv[1:] if argv is None else argv
+    if {"-h", "--help"} & set(argv):
+        print(f"usage: {prog} {usage}")
+        return 0
+    call = read(kind, argv, prog)
+    try:
+        return run(call, argv)
+    except ValueError as error:
+        fail(str(error), prog)
 
 
 def fail(message: str, prog: str) -> NoReturn:

@@ -12,17 +12,17 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
 
 from jaxdyna import fields
+from jaxdyna.experiments.engine.storage import Results
 from jaxdyna.experiments.engine.work import Arm, Curves
 from jaxdyna.fields import setting
 from jaxdyna.statistics import SolveRule
 
-Results = dict[str, Any]
 Overrides = Mapping[str, Any]
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class Options(fields.Checked):
     """The settings that every experiment has; a world's own come with a subclass.
 
     Attributes:
@@ -45,9 +45,6 @@ class Options:
         1, "runs computed together; a run's bits depend on this number and on nothing beside it",
         at_least=1, everyday=True,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        fields.check(self)
 
     def resolved(self) -> Self:
         """With what other settings decide filled in. A subclass says how."""

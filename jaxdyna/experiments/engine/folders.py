@@ -8,7 +8,6 @@ import fcntl
 import os
 import re
 import socket
-import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import datetime
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxdyna.experiments.engine import storage
+from jaxdyna.experiments.engine.checkpoint import checkpoints_below
 
 LOCK, PREVIOUS, PARTS, CHECKPOINTS = ".lock", "previous", "parts", "checkpoints"
 FIGURE = re.compile(r"!\[[^\]]*\]\(([^()/]+)\)")
@@ -102,8 +102,8 @@ def claim(folder: Path, whose: Mapping[str, str], fresh: bool) -> None:
 
 def clear(checkpoints: Path) -> None:
     """Removes what a run has written there, and folders that are empty then."""
-    patterns = ("settings*.json", "measured*.json", "*/block[0-9]*.npz")
-    for file in (path for pattern in patterns for path in checkpoints.glob(pattern)):
+    told = [path for of in ("settings", "measured") for path in checkpoints.glob(f"{of}*.json")]
+    for file in (*told, *checkpoints_below(checkpoints)):
         file.unlink(missing_ok=True)
     for emptied in (*checkpoints.glob("*/"), checkpoints):
         with suppress(OSError):
@@ -148,16 +148,8 @@ def _names(folder: Path) -> set[str]:
 def _in_version_control(folder: Path, record: list[Path]) -> bool:
     """Whether git has all of these files as they are."""
     names = [file.name for file in record]
-
-    def holds(*words: str) -> bool:
-        command = ["git", "-C", str(folder), *words, "--", *names]
-        return subprocess.run(command, capture_output=True, check=False).returncode == 0
-
-    try:
-        known = holds("ls-files", "--error-unmatch")
-        return bool(names) and known and holds("diff", "--quiet", "HEAD")
-    except OSError:
-        return False
+    asked = ("ls-files", "--error-unmatch"), ("diff", "--quiet", "HEAD")
+    return bool(names) and None not in [storage.git(folder, *each, "--", *names) for each in asked]
 
 
 def is_of(about: Any, whose: Mapping[str, str]) -> bool:

@@ -50,6 +50,12 @@ def afford(need: int, block: int, at_once: int, place: jax.Device) -> None:
         )
 
 
+def spare(need: int, most: int, place: jax.Device) -> int:
+    """How many blocks of ``need`` bytes fit into half of a device's free memory, up to ``most``."""
+    free = available(place)
+    return most if free is None or need == 0 else min(most, free // (2 * need))
+
+
 def available(place: jax.Device) -> int | None:
     """Bytes that are free on a device, of a CPU in this container; None where nobody says."""
     if place.platform != "cpu":

@@ -12,8 +12,10 @@ import hashlib
 import os
 import platform
 import shutil
+import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import IO, Any
@@ -31,6 +33,7 @@ HOW = {
     "jax_persistent_cache_min_compile_time_secs": 0.1,
     "jax_persistent_cache_enable_xla_caches": "none",  # their folder would be part of the key
 }
+ZSTANDARD = bytes.fromhex("28b52ffd")
 ENTRIES, LOCK, PROCESS = "*-cache", "lock", "process-"
 
 
@@ -83,34 +86,49 @@ def _begun(folder: Path) -> tuple[Path | None, IO[str] | None]:
     """
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / LOCK).open("a") as lock:
+        with (folder / LOCK).open("a") as lock, ExitStack() as stack:
             fcntl.flock(lock, fcntl.LOCK_EX)
             _tidy(folder)
             own = Path(mkdtemp(prefix=PROCESS, dir=folder))
-            held = (own / LOCK).open("a")
+            held = stack.enter_context((own / LOCK).open("a"))
             fcntl.flock(held, fcntl.LOCK_EX)
             for entry in folder.glob(ENTRIES):
                 (own / entry.name).hardlink_to(entry)
+            stack.pop_all()
         return own, held
     return None, None
 
 
 def _tidy(folder: Path) -> None:
-    """Removes what killed processes left, and what was not used for the longest time, beyond
-    `MOST_BYTES`.
+    """Removes what killed processes left, and beyond `MOST_BYTES` what was not used for the longest
+    time, on this kind of machine or another.
     """
     for left in folder.glob(f"{PROCESS}*"):
         with suppress(OSError), (left / LOCK).open("a") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             shutil.rmtree(left, ignore_errors=True)
-    room = MOST_BYTES
-    for entry in sorted(folder.glob(ENTRIES), key=lambda entry: -entry.stat().st_atime_ns):
-        room -= entry.stat().st_size
+    room, others = MOST_BYTES, folder.parent.glob(f"*/{ENTRIES}")
+    found = [(entry.stat(), entry) for entry in others]
+    for about, entry in sorted(found, key=lambda one: -one[0].st_atime_ns):
+        room -= about.st_size
         if room < 0:
             entry.unlink(missing_ok=True)
 
 
 def _share(own: Path) -> None:
     for entry in own.glob(ENTRIES):
-        with suppress(OSError):  # it is there already
-            (own.parent / entry.name).hardlink_to(entry)
+        shared = own.parent / entry.name
+        with suppress(OSError):  # another process has put it there
+            if not shared.exists() and _is_whole(entry.read_bytes()):
+                shared.hardlink_to(entry)
+
+
+def _is_whole(entry: bytes) -> bool:
+    """Whether JAX could write all of it: on a full disk it warns, and leaves what it wrote."""
+    with suppress(Exception):
+        if not entry.startswith(ZSTANDARD):
+            return bool(zlib.decompress(entry))
+        for name in ("compression.zstd", "zstandard"):
+            with suppress(ImportError):
+                return bool(import_module(name).decompress(entry))
+    return False

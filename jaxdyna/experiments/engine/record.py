@@ -2,8 +2,6 @@
 ``results.json``, its report, and the way back from there to the experiment.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex
@@ -12,7 +10,7 @@ from typing import Any
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine import storage
-from jaxdyna.experiments.engine.experiment import Experiment, Record, Results, Study
+from jaxdyna.experiments.engine.experiment import Experiment, Record, Results, Study, entries
 from jaxdyna.experiments.engine.work import Curves
 from jaxdyna.experiments.report.summaries import compare, describe_arm, diverged
 from jaxdyna.experiments.report.tables import label, paragraphs
@@ -46,9 +44,9 @@ def results_of(
     return results
 
 
-def recorded(results: Results) -> tuple[Experiment, Any, dict[str, list[Any]]]:
-    """What a record's ``results.json`` says that was played: the experiment, its settings, and the
-    values that were swept, by dotted path.
+def recorded(results: Results) -> tuple[Experiment, Any, dict[str, Any]]:
+    """What a record's ``results.json`` says that was played: the experiment, its settings, and
+    those of each entry that there can be.
 
     Raises:
         ValueError: where there is no such experiment, or it does not read the settings.
@@ -61,7 +59,8 @@ def recorded(results: Results) -> tuple[Experiment, Any, dict[str, list[Any]]]:
     except (ImportError, AttributeError, LookupError):
         raise ValueError(f"there is no such experiment: {results['command']}") from None
     options = fields.restored(default, results["config"])
-    return experiment, options, read_back(options, results["sweep"])
+    every = entries(experiment, options, read_back(options, results["sweep"]))
+    return experiment, options, {entry.name: entry.options for entry in every}
 
 
 def read_back(options: Any, sweep: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:

@@ -24,32 +24,12 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from jaxdyna import fields
-from jaxdyna.experiments.engine import cli, folders, programs, storage
-from jaxdyna.experiments.engine.checkpoint import Store
-from jaxdyna.experiments.engine.experiment import (
-    Entry,
-    Experiment,
-    Record,
-    Results,
-    Study,
-    chosen,
-    entries,
-)
+from jaxdyna.experiments.engine import cli, folders, programs, storage, work
+from jaxdyna.experiments.engine.checkpoint import Store, checkpoints_below
+from jaxdyna.experiments.engine.experiment import Entry, Experiment, Record, Study, chosen, entries
 from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.record import different, read_back, results_of, write_report
-from jaxdyna.experiments.engine.storage import InputError
-from jaxdyna.experiments.engine.work import (
-    Arm,
-    Curves,
-    Engine,
-    Interrupted,
-    Over,
-    Progress,
-    Runs,
-    Work,
-    joined,
-    runs_of,
-)
+from jaxdyna.experiments.engine.storage import InputError, Results
 from jaxdyna.fields import SettingError
 from jaxdyna.statistics import episodes_to_solve
 
@@ -113,19 +93,18 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
         arms = dict.fromkeys(name.partition("@")[0] for name in default.arms)
         default = replace(default, arms=tuple(arms))
     preset = call.preset or next(iter(experiment.presets))
+    quick = experiment.quick.get(preset)
     if len(asked) < len(argv):
-        names = [part.name for part in parts]
         arms = dict.fromkeys(name.partition("@")[0] for name in experiment.arms(default.resolved()))
-        hidden = () if experiment.quick.get(preset) else ("quick",)
-        everything = "--help-all" in argv
         print(cli.help_text(
-            prog, names, [*experiment.presets], [*arms], default, everything, hidden
+            prog, [part.name for part in parts], [*experiment.presets], [*arms], default,
+            "--help-all" in argv, hidden=() if quick else ("quick",),
         ))  # fmt: skip
         raise SystemExit(0)
     if call.quick:
-        if not experiment.quick.get(preset):
+        if not quick:
             cli.fail(f"--quick: {experiment.name} has none: lower --seeds and --episodes", prog)
-        default = fields.changed(default, {**experiment.quick[preset], "quick": True})
+        default = fields.changed(default, {**quick, "quick": True})
     asked_for = cli.parse(default, rest, prog)
     options = asked_for.resolved()
     if "--arms" in rest and not options.arms:
@@ -213,7 +192,7 @@ class Session:
         """
         self.began, self.earlier = time.perf_counter(), None
         self.share = stack.enter_context(programs.kept()) if self.cache else lambda: None
-        self.curves: dict[str, Curves] = {}
+        self.curves: dict[str, work.Curves] = {}
         self.timing: dict[str, dict[str, float]] = {}
         self.measured: dict[str, Any] = {}
         self.earlier_s = 0.0
@@ -241,7 +220,7 @@ class Session:
         Raises:
             InputError: where something in mid-run is the user's to mend.
         """
-        code, engine = 0, Engine()
+        code, engine = 0, work.Engine()
         try:
             with _deferred_interrupt(engine):
                 self._measure()
@@ -278,7 +257,7 @@ class Session:
         number, of = self.shard
         return list(range(number - 1, self.options.seeds, of))
 
-    def _play(self, engine: Engine, arms: Mapping[str, Arm]) -> None:
+    def _play(self, engine: work.Engine, arms: Mapping[str, work.Arm]) -> None:
         """Plays the entries that are not finished: those of one arm that are one work together, as
         one axis of runs.
         """
@@ -297,7 +276,7 @@ class Session:
         works, names = {}, [*groups]
         for name, group in groups.items():
             played = [arms[entry.name] for entry in group]
-            works[name] = played[0].work, runs_of(played, self.seeds, self.options.seed)
+            works[name] = played[0].work, work.runs_of(played, self.seeds, self.options.seed)
         at_once = min(storage.cores(), COMPILED)
         with Bars(self.console, totals) as bars:
             for ahead in (names[at : at + at_once] for at in range(0, len(names), at_once)):
@@ -305,33 +284,35 @@ class Session:
                     bars.tell(name, "compiling", 0, 0)
                 engine.prepare(dict(works[name] for name in ahead))
                 for name in ahead:
+                    bars.tell(name, "waiting", 0, 0)
+                for name in ahead:
                     tell = partial(bars.tell, name)
                     self._play_group(engine, name, groups[name], *works[name], tell)
 
     def _play_group(
-        self, engine: Engine, name: str, group: Sequence[Entry], work: Work, runs: Runs,
-        tell: Progress,
+        self, engine: work.Engine, name: str, group: Sequence[Entry], played: work.Work,
+        runs: work.Runs, tell: work.Progress,
     ) -> None:  # fmt: skip
         store = Store(self.checkpoints / _identifier(group, runs), self.console.print)
-        done = engine.play(work, runs, self._over(), store, tell)
+        done = engine.play(played, runs, self._over(), store, tell)
         length = max((len(run.get("real_return", ())) for run in done.curves), default=0)
         tell("done", length or int(runs.units.max()), len(done.curves))
         each = len(self.seeds)
         for number, entry in enumerate(group):
             rows = slice(number * each, (number + 1) * each)
-            self.curves[entry.name] = joined(done.curves[rows])
+            self.curves[entry.name] = work.joined(done.curves[rows])
         self.timing[name] = done.seconds._asdict()
         self.share()
         self._write()
 
-    def _over(self) -> Over | None:
+    def _over(self) -> work.Over | None:
         """When a run is over: so many episodes after it has solved."""
         rule, stop = self.experiment.rule, self.options.stop_after_solved
         if rule is None or stop is None:
             return None
         solves = rule(self.options)
 
-        def over(curves: Curves) -> np.ndarray:
+        def over(curves: work.Curves) -> np.ndarray:
             played = curves["real_return"].shape[1]
             return played >= episodes_to_solve(solves.score(curves), solves) + stop
 
@@ -382,7 +363,7 @@ class Session:
             raise ValueError(f"--out {self.out} has files of no such run: choose its own folder")
         finished, now = results and identity_of(results), self.identity()
         before = begun or finished
-        if before is None and any(self.checkpoints.glob("*/block*.npz")):
+        if before is None and checkpoints_below(self.checkpoints):
             raise ValueError(
                 f"{self.checkpoints / 'settings.json'} is gone: restore it, or remove that folder"
             )
@@ -394,8 +375,10 @@ class Session:
                 "choose another --out"
             )
         begun_with = {name: (begun or {}).get(name) for name in self.made}
-        blocks = self.checkpoints.glob("*/block[0-9]*.npz")
-        stores = [Store(folder) for folder in {block.parent for block in blocks}]
+        stores = [
+            Store(folder)
+            for folder in {path.parent for path in checkpoints_below(self.checkpoints)}
+        ]
         if stores and begun_with != self.made:
             raise ValueError(
                 f"the run in {self.out} was begun with {storage.changes(begun_with, self.made)}: a "
@@ -479,7 +462,7 @@ def _group_name(group: Sequence[Entry], counts: Mapping[str, int]) -> str:
     return first.arm if counts[first.arm] == 1 else f"{first.name} and {len(group) - 1} more"
 
 
-def _identifier(group: Sequence[Entry], runs: Runs) -> str:
+def _identifier(group: Sequence[Entry], runs: work.Runs) -> str:
     """A folder's name for the checkpoints of just these runs."""
     names = [entry.name for entry in group]
     arrays = [names, *jax.tree.leaves((runs.seed, runs.hparams, runs.units))]
@@ -489,7 +472,7 @@ def _identifier(group: Sequence[Entry], runs: Runs) -> str:
 
 
 @contextmanager
-def _deferred_interrupt(engine: Engine) -> Iterator[None]:
+def _deferred_interrupt(engine: work.Engine) -> Iterator[None]:
     """Ctrl-C and SIGTERM let the pieces in progress end and be saved; a second one interrupts at
     once. Outside the main thread they do nothing.
     """
@@ -507,7 +490,7 @@ def _deferred_interrupt(engine: Engine) -> Iterator[None]:
     try:
         yield
         if engine.interrupted.is_set():
-            raise Interrupted
+            raise work.Interrupted
     finally:
         for one, handler in before.items():
             signal.signal(one, handler)

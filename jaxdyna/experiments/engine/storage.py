@@ -238,19 +238,22 @@ def provenance(made: Results, earlier: Results | None = None) -> Results:
     return made | {"commit": commit(), "device": made["device"] | device}
 
 
-def commit() -> Results | None:
-    """The checkout's commit and whether it was clean; None where this package is in none."""
-
-    def ask(*words: str) -> str:
-        command = ["git", "-C", str(PACKAGE), *words]
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-
+def git(folder: Path, *words: str) -> str | None:
+    """What git says of a folder; None where it fails, or there is none."""
+    command = ["git", "-C", str(folder), *words]
     try:
-        if Path(ask("rev-parse", "--show-toplevel")) != PACKAGE.parent.resolve():
-            return None
-        return {"id": ask("rev-parse", "HEAD"), "clean": not ask("status", "--porcelain", ".")}
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
+
+
+def commit() -> Results | None:
+    """The checkout's commit and whether it was clean; None where this package is in none."""
+    top = git(PACKAGE, "rev-parse", "--show-toplevel")
+    if top is None or Path(top) != PACKAGE.parent.resolve():
+        return None
+    head, others = git(PACKAGE, "rev-parse", "HEAD"), git(PACKAGE, "status", "--porcelain", ".")
+    return None if head is None or others is None else {"id": head, "clean": not others}
 
 
 def source(modules: Iterable[str] = ()) -> str:

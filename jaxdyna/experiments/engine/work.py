@@ -3,7 +3,8 @@
 A run is a seed of a setting. Its numbers come from its own key, hyper-parameters and data, and from
 the size of its block alone: not from who is computed beside it, nor where, nor from what was played
 before. Every block is played by the one program that was compiled for its size; on a CPU by as many
-threads as there are cores, elsewhere on every device in turn.
+threads as there are cores, elsewhere on every device in turn. So runs may be dealt out anew between
+two pieces: as some are over, the others are fewer blocks.
 """
 
 from __future__ import annotations
@@ -14,17 +15,18 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from queue import SimpleQueue
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.experiments.engine.checkpoint import BlockStore, Kept, Store
-from jaxdyna.experiments.engine.memory import afford, held, used_by
+from jaxdyna.experiments.engine.checkpoint import Kept, Store, stacked
+from jaxdyna.experiments.engine.memory import afford, held, spare, used_by
 from jaxdyna.experiments.engine.storage import cores
 from jaxdyna.sweep import over_runs
+from jaxdyna.trees import named_leaves, stack
 from jaxdyna.types import Key
 
 Curves = dict[str, np.ndarray]
@@ -39,6 +41,9 @@ rest of its curves is NaN.
 """
 JUDGING = 2**32 - 1
 """Folded into the base seed's key: the runs' own keys are its first splits."""
+
+BEGUN = 8
+"""Blocks a worker that are begun at most, so that their runs can be packed together."""
 
 
 class Work(NamedTuple):
@@ -192,73 +197,74 @@ class Engine:
             InputError: where a checkpoint is another version's, or there is too little memory.
             Exception: of the first block that fails; the others are saved after their pieces.
         """
-        rows = np.arange(len(runs.seed))
-        blocks = [rows[first : first + work.block] for first in range(0, len(rows), work.block)]
+        count = len(runs.seed)
         collected = work.collect(runs) if work.collect else None
-        say("compiling", 0, 0)
         began = time.perf_counter()
-        where = places(self.workers)[: len(blocks)]
-        programs = self._programs(work, runs, collected, where)
+        where = places(self.workers)[: -(-count // work.block)]
+        if made := self._lowered(work, runs, collected, where):
+            say("compiling", 0, 0)
+            self._compile(made)
+        programs = {place: self.programs[_known(work, runs, place)] for place in where}
         compile_s = time.perf_counter() - began + self.prepared.pop(work, 0.0)
-        tally = _Tally(say, len(runs.seed), store.seconds() if store else 0.0)
-        failed = threading.Event()
-        free: SimpleQueue[Any] = SimpleQueue()
-        for place in where:
-            free.put(place)
-
-        def stopped() -> bool:
-            return failed.is_set() or self.interrupted.is_set()
-
-        def play_block(number: int) -> list[Curves]:
-            place = free.get()
-            try:
-                block = _Block(programs[place], runs, blocks[number], over, tally, stopped)
-                return block.play(collected, store.block(number) if store else None)
-            except BaseException:
-                failed.set()
-                raise
-            finally:
-                free.put(place)
-
-        with ThreadPoolExecutor(len(where)) as pool:
-            futures = [pool.submit(play_block, number) for number in range(len(blocks))]
-        errors = [error for future in futures if (error := future.exception()) is not None]
-        if errors:
-            real = [error for error in errors if not isinstance(error, Interrupted)]
-            raise (real or errors)[0]
-        curves = [run for future in futures for run in future.result()]
+        tally = _Tally(say, count, store.seconds() if store else 0.0)
+        pool = _Pool(runs, collected, over, store, tally, programs, where, self.interrupted)
+        with ThreadPoolExecutor(len(where)) as threads:
+            workers = [threads.submit(pool.serve, place) for place in where]
+        for worker in workers:
+            worker.result()
+        if len(pool.curves) < count:
+            raise Interrupted
+        curves = [pool.curves[row] for row in range(count)]
         return Played(curves, Seconds(compile_s, tally.seconds()))
 
     def prepare(self, several: Mapping[Work, Runs]) -> None:
-        """Compiles at a time what is played next, which alone uses little more than a core; not
-        what waits for data that the host collects.
+        """Compiles at a time what is played next, which alone keeps little more than a core busy;
+        not what waits for data that the host collects.
 
         Raises:
             InputError: where there is too little memory.
         """
+        took, made = {}, {}
+        for work, runs in several.items():
+            if not work.collect:
+                began, blocks = time.perf_counter(), -(-len(runs.seed) // work.block)
+                made[work] = self._lowered(work, runs, None, places(self.workers)[:blocks])
+                took[work] = time.perf_counter() - began
 
         def compiled(work: Work) -> float:
-            began, runs = time.perf_counter(), several[work]
-            blocks = -(-len(runs.seed) // work.block)
-            self._programs(work, runs, None, places(self.workers)[:blocks])
+            began = time.perf_counter()
+            self._compile(made[work])
             return time.perf_counter() - began
 
-        works = [work for work in several if not work.collect]
         began = time.perf_counter()
-        with ThreadPoolExecutor(max(len(works), 1)) as pool:
-            each = [*pool.map(compiled, works)]
+        with ThreadPoolExecutor(max(len(made), 1)) as pool:
+            each = [*pool.map(compiled, made)]
         share = (time.perf_counter() - began) / max(sum(each), 1e-9)
-        self.prepared |= {work: share * one for work, one in zip(works, each, strict=True)}
+        self.prepared |= {
+            work: took[work] + share * one for work, one in zip(made, each, strict=True)
+        }
 
-    def _programs(
+    def _lowered(
         self, work: Work, runs: Runs, collected: Any, where: Sequence[jax.Device]
-    ) -> dict[jax.Device, _Program]:
-        shapes = str(jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams))
-        for place in set(where):
-            if (work, shapes, place) not in self.programs:
-                made = _Program(work, runs, collected, place, where.count(place))
-                self.programs[work, shapes, place] = made
-        return {place: self.programs[work, shapes, place] for place in set(where)}
+    ) -> dict[Any, _Program]:
+        """What is not compiled yet. Traced here, since a thread has not the caller's `jax.config`
+        contexts.
+        """
+        lacking = {_known(work, runs, place): place for place in where}
+        return {
+            known: _Program(work, runs, collected, place, where.count(place))
+            for known, place in lacking.items() if known not in self.programs
+        }  # fmt: skip
+
+    def _compile(self, made: Mapping[Any, _Program]) -> None:
+        for known, program in made.items():
+            program.compile()
+            self.programs[known] = program
+
+
+def _known(work: Work, runs: Runs, place: jax.Device) -> Any:
+    shapes = jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams)
+    return work, str(shapes), place
 
 
 def places(workers: int = 0) -> list[jax.Device]:
@@ -270,10 +276,11 @@ def places(workers: int = 0) -> list[jax.Device]:
 
 
 class _Program:
-    """A work compiled for blocks of its size on one device."""
+    """A work for blocks of its size on one device: lowered, then compiled."""
 
     def __init__(self, work: Work, runs: Runs, collected: Any, place: jax.Device, at_once: int):
         self.work, self.place, self.lock = work, place, threading.Lock()
+        self.at_once = at_once
         keys, hparams = self.put(_shaped(work.block, (runs.keys, runs.hparams)))
 
         def piece(state: Any, data: Any, first: jax.Array, count: jax.Array, hparams: Any) -> Any:
@@ -289,19 +296,27 @@ class _Program:
         afford(held(state, data), work.block, at_once, place)  # before it compiles for minutes
         number = self.put(jax.ShapeDtypeStruct((), jnp.int32))
         piece_of = jax.jit(piece, donate_argnums=0).lower(state, data, number, number, hparams)
-        lowered = [(start, _quickly(place)), (piece_of, {}), *([(making, {})] if making else [])]
-        with ThreadPoolExecutor(len(lowered)) as pool:  # XLA compiles without Python's lock
-            self.start, self.piece, *rest = pool.map(
-                lambda one: one[0].compile(compiler_options=one[1]), lowered
-            )
-        afford(used_by(self.piece), work.block, at_once, place)
-        self.data = rest[0] if rest else None
+        self.lowered = [(start, _quickly(place)), (piece_of, {}), *([(making, {})] * bool(making))]
         self.judging = {
             name: jax.jit(call)
             for name, call in (("judge", work.judge), ("show", work.show))
             if call is not None
         }
         self.row = jax.jit(lambda tree, row: jax.tree.map(lambda leaf: leaf[row], tree))
+
+    def compile(self) -> None:
+        """Compiles it, and looks at the memory that it takes.
+
+        Raises:
+            InputError: where there is too little.
+        """
+        with ThreadPoolExecutor(len(self.lowered)) as pool:  # XLA compiles without Python's lock
+            self.start, self.piece, *rest = pool.map(
+                lambda one: one[0].compile(compiler_options=one[1]), self.lowered
+            )
+        self.data = rest[0] if rest else None
+        self.lowered = []
+        afford(used_by(self.piece), self.work.block, self.at_once, self.place)
 
     def put(self, tree: Any) -> Any:
         """Shapes on this program's device."""
@@ -341,91 +356,206 @@ def _loop(work: Work, state: Any, data: Any, first: Any, count: Any, hparams: An
     return jax.lax.fori_loop(0, count, unit, (state, kept))
 
 
+@dataclass
+class _Pool:
+    """All runs of a play. Those that are not over are in blocks: a worker takes the least advanced
+    of those that wait on its device, plays a piece of it and gives it back. Where those that wait
+    at the same unit have so few runs left that these fit into fewer blocks, they are packed anew.
+    More are begun than there are workers, so that some wait; nobody waits for another's piece.
+    """
+
+    runs: Runs
+    collected: Any
+    over: Over | None
+    store: Store | None
+    tally: _Tally
+    programs: Mapping[jax.Device, _Program]
+    where: Sequence[jax.Device]
+    interrupted: threading.Event
+
+    def __post_init__(self) -> None:
+        self.lock, self.failed = threading.Lock(), threading.Event()
+        self.keys, self.judging = self.runs.keys, self.runs.judging
+        self.size, units = self.programs[self.where[0]].work.block, self.runs.units
+        store = self.store
+        kept = {row: (store and store.load(row)) or Kept() for row in range(len(units))}
+        self.curves = {row: run.metrics for row, run in kept.items() if run.over}
+        differ = units.min() < units.max() or len({run.done for run in kept.values()}) > 1
+        self.may_shrink = self.size > 1 and (self.over is not None or differ)
+        if played := sum(run.done for run in kept.values()):
+            self.tally.add(played, len(self.curves))
+        self.unbegun = _blocks({row: run for row, run in kept.items() if not run.over}, self.size)
+        self.waiting: dict[jax.Device, list[_Block]] = {place: [] for place in self.programs}
+        self.playing = dict.fromkeys(self.programs, 0)
+
+    def serve(self, place: jax.Device) -> None:
+        """Plays until nothing is left for this worker; stopped, it saves what waits."""
+        block = None
+        try:
+            while block := self._next(place, block):
+                block.play()
+        except BaseException:
+            self.failed.set()
+            raise
+        finally:
+            while self._stopped() and (block := self._any()):
+                block.save()
+
+    def _stopped(self) -> bool:
+        return self.failed.is_set() or self.interrupted.is_set()
+
+    def _any(self) -> _Block | None:
+        with self.lock:
+            return next((blocks.pop() for blocks in self.waiting.values() if blocks), None)
+
+    def _next(self, place: jax.Device, played: _Block | None) -> _Block | None:
+        """The next for a worker that gives back what it has played; None where there is none."""
+        with self.lock:
+            waiting = self.waiting[place]
+            if played is not None:
+                self.playing[place] -= 1
+                if played.live:
+                    waiting.append(played)
+                    waiting[:] = self._packed(waiting, played.done)
+            if self._stopped():
+                return None
+            if not waiting:
+                self._begin(place)
+            waiting = waiting or max(self.waiting.values(), key=len)  # another device's
+            if not waiting:
+                return None
+            block, program = min(waiting, key=lambda block: block.done), self.programs[place]
+            moved = block.program is not program
+            taken = _Block(self, program, block.kept(), block.saved_s) if moved else block
+            waiting.remove(block)
+            self.playing[place] += 1
+            return taken
+
+    def _packed(self, waiting: list[_Block], done: int) -> list[_Block]:
+        """Of these those at unit ``done`` in as few as can be."""
+        same = [block for block in waiting if block.done == done]
+        if -(-sum(len(block.live) for block in same) // self.size) == len(same):
+            return waiting
+        kept = {row: run for block in same for row, run in block.kept().items()}
+        saved_s, program = min(block.saved_s for block in same), same[0].program
+        fewer = [_Block(self, program, runs, saved_s) for runs in _blocks(kept, self.size)]
+        return [block for block in waiting if block.done != done] + fewer
+
+    def _begin(self, place: jax.Device) -> None:
+        """As many as memory affords; other devices get their share."""
+        program, workers = self.programs[place], self.where.count(place)
+        most = max(1, workers - self.playing[place])
+        if self.may_shrink:
+            more = BEGUN * workers - self.playing[place]
+            most = max(most, spare(used_by(program.piece), more, place))
+        for _ in range(min(most, -(-len(self.unbegun) // len(self.programs)))):
+            runs = self.unbegun.pop(0)
+            self.waiting[place].append(_Block(self, program, runs, time.perf_counter()))
+
+
+def _blocks(kept: Mapping[int, Kept], size: int) -> list[dict[int, Kept]]:
+    """Runs at the same unit, so many of them together; the most advanced first."""
+    units = sorted({run.done for run in kept.values()}, reverse=True)
+    rows = ([row for row in sorted(kept) if kept[row].done == done] for done in units)
+    parts = (some[first : first + size] for some in rows for first in range(0, len(some), size))
+    return [{row: kept[row] for row in part} for part in parts]
+
+
 class _Block:
-    """Runs that are computed together, from their first unit to the end of the last of them."""
+    """Runs that are computed together, all of them at the same unit; filled up with copies.
 
-    def __init__(
-        self, program: _Program, runs: Runs, rows: np.ndarray, over: Over | None, tally: _Tally,
-        stopped: Callable[[], bool],
-    ):  # fmt: skip
-        self.program, self.work, self.place = program, program.work, program.place
-        self.runs, self.over, self.tally, self.stopped = runs, over, tally, stopped
-        padded = np.concatenate([rows, np.repeat(rows[:1], self.work.block - len(rows))])
-        self.rows, self.padded = rows, padded
-        self.hparams = self._put(jax.tree.map(lambda leaf: leaf[padded], runs.hparams))
-        self.judging = runs.judging
-        self.over_at: dict[int, Curves] = {}
-        self.done, self.pieces = 0, Curves()
+    Attributes:
+        live: the lane of each run that is not over.
+        done: units played.
+        before: the runs as they were kept, until they are on the device.
+        saved_s: when they were saved the last time, or begun.
+    """
 
-    def play(self, collected: Any, store: BlockStore | None) -> list[Curves]:
-        """What each of its runs came to."""
-        kept = store.load() if store else None
-        if kept is not None:
-            self.done, self.pieces, self.over_at = kept.done, kept.metrics, kept.over
-            self.tally.add(self.done * len(self.rows), len(self.over_at))
-        if self._left():
-            self._play_on(collected, store, kept)
-            if store:
-                store.save(Kept(self.done, None, {}, self.over_at), self.tally.seconds())
-        return [self.over_at[row] for row in range(len(self.rows))]
+    def __init__(self, pool: _Pool, program: _Program, kept: dict[int, Kept], saved_s: float):
+        self.pool, self.program, self.work, self.before = pool, program, program.work, kept
+        self.live = {row: lane for lane, row in enumerate(kept)}
+        rows = [*kept]
+        self.rows = np.array(rows + rows[:1] * (self.work.block - len(rows)))
+        self.done, self.saved_s = kept[rows[0]].done, saved_s
 
-    def _left(self) -> list[int]:
-        return [row for row in range(len(self.rows)) if row not in self.over_at]
+    def kept(self) -> dict[int, Kept]:
+        """Its runs that are not over, on the host."""
+        if self.before:
+            return self.before
+        arrays = named_leaves(self.state), self.pieces
+        return {
+            row: Kept(self.done, *jax.tree.map(itemgetter(lane), arrays))
+            for row, lane in self.live.items()
+        }
 
-    def _play_on(self, collected: Any, store: BlockStore | None, kept: Kept | None) -> None:
-        if self.stopped():
-            raise Interrupted
-        keys, program = self._put(self.runs.keys[self.padded]), self.program
-        state = program.start(keys, self.hparams)
-        data = None
+    def save(self) -> None:
+        """Writes a checkpoint of each of its runs."""
+        if self.pool.store and self.done:
+            for row, run in self.kept().items():
+                self.pool.store.save(row, run, self.pool.tally.seconds())
+        self.saved_s = time.perf_counter()
+
+    def _begin(self) -> None:
+        """Puts its runs on the device."""
+        pool, program = self.pool, self.program
+        self.hparams = self._put(jax.tree.map(itemgetter(self.rows), pool.runs.hparams))
+        self.state = program.start(self._put(pool.keys[self.rows]), self.hparams)
+        self.data, self.pieces = None, Curves()
         if program.data is not None:
-            data = program.data(self._put(self.runs.keys[self.padded]), self.hparams)
-        if collected is not None:
-            data = self._put(jax.tree.map(lambda leaf: leaf[self.padded], collected))
-        if kept is not None:
-            state = kept.into(state, self.place)
-        while self._left():
-            ends = [int(self.runs.units[self.rows[row]]) for row in self._left()]
-            count = min(self.work.piece - self.done % self.work.piece, min(ends) - self.done)
-            first, number = self._put((np.int32(self.done), np.int32(count)))
-            state, metrics = program.piece(state, data, first, number, self.hparams)
-            new = {name: _said(values)[:, :count] for name, values in metrics.items()}
-            self.pieces = {
-                name: np.concatenate([self.pieces[name], values], axis=1) if self.done else values
-                for name, values in new.items()
-            }
-            self.done += count
-            ended = self._ended()
-            for row in ended:
-                self.over_at[row] = self._judged(row, state, data)
-            self.tally.add(count * len(self.rows), len(ended))
-            stop = self.stopped()
-            if store and self._left() and (stop or store.due()):
-                saved = Kept(self.done, state, self.pieces, self.over_at)
-                store.save(saved, self.tally.seconds())
-            if stop and self._left():
-                raise Interrupted
+            self.data = program.data(self._put(pool.keys[self.rows]), self.hparams)
+        if pool.collected is not None:
+            self.data = self._put(jax.tree.map(itemgetter(self.rows), pool.collected))
+        if self.done:
+            kept = [self.before[row] for row in self.rows]
+            self.state = stacked([run.state for run in kept], self.state, program.place)
+            self.pieces = stack([run.metrics for run in kept])
+        self.before = {}
+
+    def play(self) -> None:
+        """A piece, or up to the next unit that is a run's last."""
+        if self.before:
+            self._begin()
+        end = min(int(self.pool.runs.units[row]) for row in self.live)
+        count = min(self.work.piece - self.done % self.work.piece, end - self.done)
+        first, number = self._put((np.int32(self.done), np.int32(count)))
+        self.state, metrics = self.program.piece(self.state, self.data, first, number, self.hparams)
+        new = {name: _said(values)[:, :count] for name, values in metrics.items()}
+        self.pieces = {
+            name: np.concatenate([self.pieces[name], values], axis=1) if self.done else values
+            for name, values in new.items()
+        }
+        self.done += count
+        played, ended = len(self.live), self._ended()
+        for row in ended:
+            curves = self._judged(row, self.live.pop(row))
+            if self.pool.store:
+                over = Kept(self.done, metrics=curves, over=True)
+                self.pool.store.save(row, over, self.pool.tally.seconds())
+            self.pool.curves[row] = curves
+        self.pool.tally.add(count * played, len(ended))
+        if self.live and self.pool.store and self.pool.store.due(self.saved_s):
+            self.save()
 
     def _ended(self) -> list[int]:
-        """The rows of runs that have just come to their ends. Looked at after whole pieces and
-        after a run's own last unit only, so that it does not matter who else is in the block.
+        """Its runs that have just come to their ends. Looked at after whole pieces and after a
+        run's own last unit only, so that it does not matter who else is in the block.
         """
-        over = np.zeros(len(self.padded), bool)
+        over = np.zeros(len(self.rows), bool)
         if self.done % self.work.piece == 0:
-            if self.over is not None:
-                over = self.over(self.pieces)
+            if self.pool.over is not None:
+                over = self.pool.over(self.pieces)
             if DIVERGED in self.pieces:
                 over = over | self.pieces[DIVERGED].any(1)
-        units = self.runs.units[self.padded]
-        return [row for row in self._left() if over[row] or units[row] == self.done]
+        units = self.pool.runs.units
+        return [row for row, lane in self.live.items() if over[lane] or units[row] == self.done]
 
-    def _judged(self, row: int, state: Any, data: Any) -> Curves:
+    def _judged(self, row: int, lane: int) -> Curves:
         """The curves of a run up to now, and what is judged of it."""
-        first = self.runs.seed[self.rows[row]] == 0
-        broken = self.pieces[DIVERGED][row] if DIVERGED in self.pieces else np.zeros(1)
+        first = self.pool.runs.seed[row] == 0
+        broken = self.pieces[DIVERGED][lane] if DIVERGED in self.pieces else np.zeros(1)
         end = broken.argmax() + 1 if broken.any() else self.done
         curves = {
-            name: values[row][:end]
+            name: values[lane][:end]
             for name, values in self.pieces.items()
             if first or not name.startswith(SHOWN)
         }
@@ -433,8 +563,8 @@ class _Block:
                   if name == "judge" or (first and not broken.any())]  # fmt: skip
         if not wanted:
             return curves
-        own, own_data, hparams = self.program.row((state, data, self.hparams), row)
-        key = self.judging[self.rows[row]]
+        own, own_data, hparams = self.program.row((self.state, self.data, self.hparams), lane)
+        key = self.pool.judging[row]
         for name in wanted:
             with self.program.lock:  # two threads would compile it twice
                 judged = self.program.judging[name](
@@ -449,7 +579,7 @@ class _Block:
         return curves
 
     def _put(self, tree: Any) -> Any:
-        return jax.device_put(tree, self.place)
+        return jax.device_put(tree, self.program.place)
 
 
 def _said(values: Any) -> np.ndarray:

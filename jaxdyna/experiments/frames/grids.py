@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from jaxdyna.envs import FrameStack
 from jaxdyna.experiments.engine import Arm, Experiment, Work
-from jaxdyna.experiments.frames.options import FrameOptions, Training, decayed_adam
+from jaxdyna.experiments.frames.options import FrameOptions, Training
 from jaxdyna.experiments.frames.report import FrameReport
 from jaxdyna.experiments.frames.training import frame_arms, frame_work
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
@@ -19,6 +19,7 @@ from jaxdyna.fields import SettingError, setting
 from jaxdyna.losses import bce, l1, l2
 from jaxdyna.models import PixelConfig, frame_probability, pixels
 from jaxdyna.networks import EncoderDecoder, JointReward, LocalDynamics, LocalReward
+from jaxdyna.optimizers import decayed_adam
 from jaxdyna.replay import frames as frame_replay
 from jaxdyna.replay.frames import FrameReplay
 from jaxdyna.replay.ring import share_weight
@@ -180,7 +181,8 @@ def random_episodes(options: GridOptions, rare_share: float | None) -> World:
 
     def data(key: Key, key_new: Key, stage: Stage) -> Any:
         whole = collected(lambda key: play(key, 1), key, options.episodes, options.steps)
-        held, weight = first_episodes(whole, stage.part, options.steps), None
+        count, weight = jnp.asarray(stage.part, jnp.int32), None  # all last to their horizon
+        held = replace(whole, added=count * options.steps, episodes_added=count)
         if rare_share is not None:
             reward = held.rest["reward"]
             weight = share_weight(held.held, jnp.stack([reward < 0, reward > 0]), rare_share)
@@ -214,9 +216,3 @@ def collected(play: Callable[[Key], Any], key: Key, episodes: int, steps: int) -
         return (frame_replay.add(held, play(key_play)), key), None
 
     return jax.lax.scan(more, (empty, key), length=episodes)[0][0]
-
-
-def first_episodes(held: FrameReplay, episodes: Any, steps: int) -> FrameReplay:
-    """The replay as it was after so many (traced) episodes, which all lasted to their horizon."""
-    count = jnp.asarray(episodes, jnp.int32)
-    return replace(held, added=count * steps, episodes_added=count)

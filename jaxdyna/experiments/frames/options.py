@@ -1,10 +1,7 @@
 """Settings that all experiments on frames have."""
 
 from dataclasses import dataclass
-from functools import cache, partial
-from typing import Any, ClassVar
-
-import optax
+from typing import ClassVar
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine import Options
@@ -12,7 +9,7 @@ from jaxdyna.fields import setting
 
 
 @dataclass(frozen=True)
-class Training:
+class Training(fields.Checked):
     """How a model is trained, from scratch at each stage."""
 
     updates: int = setting(5000, "gradient steps, however few the episodes", at_least=1)
@@ -29,13 +26,6 @@ class Training:
     )  # fmt: skip
     reward_weight: float = setting(1.0, "of the reward's squared error beside the frame's loss",
                                    at_least=0)  # fmt: skip
-
-    def __post_init__(self) -> None:
-        fields.check(self)
-
-    def updates_at(self, episodes: int) -> int:
-        """Gradient steps on so many episodes."""
-        return self.updates + round(self.updates_per_episode * episodes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,9 +53,3 @@ class FrameOptions(Options):
                 "horizon", f"is {self.horizon}: {self.dream_from} steps and it, where dreams end, "
                 f"must be at most an episode's {self.steps} steps",
             )  # fmt: skip
-
-
-@cache
-def decayed_adam(weight_decay: float, b1: float = 0.9) -> Any:
-    """AdamW: one object, and so one program, for the same settings."""
-    return partial(optax.adamw, b1=b1, weight_decay=weight_decay)

@@ -18,6 +18,8 @@ from jaxdyna.experiments.report.tables import Table, markdown_table, with_interv
 
 WHOSE = ("new", "old")
 """Episodes whose losses are looked at."""
+DREAM = "show_film_dream"
+"""Of the first run, where it was played, as all other pictures."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +81,10 @@ class FrameReport:
             return ""
         longest = max(losses["new"].shape[1] for losses in looks.values())
         panels = {
-            f"{name}: loss of a frame": {whose: _held(losses[whose], longest) for whose in WHOSE}
+            f"{name}: loss of a frame": {
+                whose: np.pad(loss, ((0, 0), (0, longest - loss.shape[1])), mode="edge")
+                for whose, loss in losses.items()
+            }
             for name, losses in looks.items()
         }
         steps = every * np.arange(1, longest + 1)
@@ -153,7 +158,7 @@ class FrameReport:
         self._draw(record.out / "horizon.png", shown, "dreamed steps", _called(score))
         asked = [arm for arm in self.filmed if arm in names] or [*names]
         shows = {arm: record.curves[names[arm]] for arm in asked}
-        film = {arm: curves["show_film_dream"] for arm, curves in shows.items() if _shown(curves)}
+        film = {arm: curves[DREAM] for arm, curves in shows.items() if DREAM in curves}
         if film:
             truth = shows[next(iter(film))]["show_film_truth"]
             pictures.film(record.out / "dream.gif", {"truth": truth} | film)
@@ -227,7 +232,7 @@ class FrameReport:
         shows = {label: record.curves[name] for label, name in names.items()}
         rows = {
             label: (curves["show_truth"] / 255, curves["show_belief"])
-            for label, curves in shows.items() if _shown(curves)
+            for label, curves in shows.items() if "show_truth" in curves
         }  # fmt: skip
         if not rows:
             return ""
@@ -251,20 +256,10 @@ class FrameReport:
         return arm if len(self.rules) == 1 else f"{arm}, {self.rules[rule]}"
 
 
-def _held(values: np.ndarray, longest: int) -> np.ndarray:
-    """``[runs, n]`` with its last column again, up to ``[runs, longest]``."""
-    return np.pad(values, ((0, 0), (0, longest - values.shape[1])), mode="edge")
-
-
 def _half_and_all(values: np.ndarray) -> tuple[float, float]:
     """The mean over runs of ``[runs, looks]`` after half of the looks and after all."""
     means = values.mean(0)
     return means[(len(means) - 1) // 2], means[-1]
-
-
-def _shown(curves: Curves) -> bool:
-    """Whether the first run was played, of which there are pictures."""
-    return "show_seen" in curves
 
 
 def _called(score: str) -> str:

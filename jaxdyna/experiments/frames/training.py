@@ -107,7 +107,7 @@ def frame_arms(
 
     def arm(model: str, part: int, episodes: int) -> Arm:
         training: Training = getattr(options, models[model])
-        updates = training.updates_at(episodes)
+        updates = training.updates + round(training.updates_per_episode * episodes)
         return Arm(work(program, model), Stage(part, updates, training.learning_rate), updates)
 
     return {

@@ -2,7 +2,6 @@
 
 from jaxdyna.experiments.maze.acting import MAZE
 from jaxdyna.experiments.maze.frames import FRAMES
-from jaxdyna.experiments.maze.ladder import LADDER
-from jaxdyna.experiments.maze.levers import BASELINES, DYNA_GRID, LEVERS
+from jaxdyna.experiments.maze.studies import BASELINES, DYNA_GRID, LADDER, LEVERS
 
 PARTS = (MAZE, FRAMES, LEVERS, LADDER, BASELINES, DYNA_GRID)

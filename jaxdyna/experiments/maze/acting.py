@@ -12,20 +12,12 @@ import numpy as np
 from jaxdyna.envs import Maze, MazeParams, MazeState
 from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.maze.arms import SAID, STARTS, arms
-from jaxdyna.experiments.maze.options import LEAN, PAPER, QUICK, TUNED, MazeOptions
+from jaxdyna.experiments.maze.options import LEAN, PAPER, QUICK, RULE, TUNED, MazeOptions, rule
 from jaxdyna.experiments.report import frames, frozen
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.tables import markdown_table, median, with_interval
-from jaxdyna.statistics import (
-    SolveRule,
-    episodes_to_solve,
-    last_mean,
-    mean_of_runs,
-    running_mean,
-    summarise,
-)
+from jaxdyna.statistics import episodes_to_solve, last_mean, mean_of_runs, running_mean, summarise
 
-RULE = SolveRule(50, 0.95, "optimal_return")
 EPISODES = {"model_free": 700.0, "dyna": 250.0}
 RATIO = {"dyna": 0.36}
 BEHAVIOUR = {
@@ -205,25 +197,16 @@ MAZE = Experiment(
     name="maze",
     title="The Maze: learning to act",
     presets={"tuned": TUNED, "lean": LEAN, "paper": PAPER},
-    quick=QUICK,
-    arms=arms,
-    rule=lambda options: RULE,
-    describe=(describe, frozen.describe(lambda options: RULE)),
+    quick=QUICK, arms=arms, rule=rule,
+    describe=(describe, frozen.describe(rule)),
     sections=(
-        report.solving(
-            lambda options: RULE, EPISODES, RATIO, "The optimal return is the most that could "
-            "be had from an episode's own start (value iteration).",
-        ),
-        report.learning_curves(
-            lambda options: RULE, "fig8.png", "Fig. 8: share of the optimum against real "
-            "episodes", "share of the optimum", SMOOTHED,
-        ),
+        report.solving(rule, EPISODES, RATIO, "The optimal return is the most that could be had "
+                       "from an episode's own start (value iteration)."),
+        report.learning_curves(rule, "fig8.png", "Fig. 8: share of the optimum against real "
+                               "episodes", "share of the optimum", SMOOTHED),
         lambda record: f"The figure's running mean is shorter than the rule's {RULE.window} "
         "episodes: a curve may be above the line before a run has solved.",
-        report.area,
-        report.thresholds(lambda options: RULE),
-        frozen.frozen(lambda options: RULE),
-        report.endings(lambda options: RULE),
+        report.area, report.thresholds(rule), frozen.frozen(rule), report.endings(rule),
         lambda record: "## What is learned, when",
         report.behaviour(
             BEHAVIOUR, SMOOTHED,

@@ -18,15 +18,15 @@ import optax
 from jaxdyna import losses, networks, planners
 from jaxdyna.agents import CloningConfig, DQNConfig, DQNState, cloning, dqn, q_values, real_memory
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
+from jaxdyna.dyna.experts import acting, by_values
+from jaxdyna.dyna.frames import Recorded, frame_dyna, true_dyna
 from jaxdyna.envs import FrameStack, Maze, MazeParams, MazeState
 from jaxdyna.envs.maze import MOVES
-from jaxdyna.experiments.frames.options import decayed_adam
 from jaxdyna.experiments.maze.options import MazeOptions
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.experiments.study.accuracy import on_common
-from jaxdyna.experiments.study.frames import Recorded, frame_dyna, true_dyna
-from jaxdyna.experiments.study.planners import acting, by_values
 from jaxdyna.models import PixelConfig, pixels
+from jaxdyna.optimizers import decayed_adam
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Agent, Key, Transition
 
@@ -81,9 +81,8 @@ def agent_of(options: MazeOptions) -> DQNConfig:
     """DQN's counts and network, with room for what a run can add to its replays and no more."""
     network: Any = networks.GlimpseQ(len(MOVES))
     if options.network != "glimpse":
-        plain = options.network == "plain"
-        kind: Any = networks.PlainQ if plain else networks.ConvolutionalQ
-        network = kind(len(MOVES), options.convolutions, options.dense)
+        kinds: Any = {"plain": networks.PlainQ, "convolutions": networks.ConvolutionalQ}
+        network = kinds[options.network](len(MOVES), options.convolutions, options.dense)
     return replace(study.sized(options.agent, options.dyna), network=network)
 
 

@@ -14,8 +14,10 @@ from jaxdyna.experiments.maze.frames import TUNED as FRAMES
 from jaxdyna.fields import LARGEST, SettingError, changed, setting
 from jaxdyna.models import PixelHParams
 from jaxdyna.planners import SearchConfig, ShootingConfig
+from jaxdyna.statistics import SolveRule
 
 EVERY_ACTION = "MuZero's search, which looks at every action"
+RULE = SolveRule(50, 0.95, "optimal_return")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,6 +132,11 @@ class MazeOptions(Options):
             "cloning.updates": min(max(updates, 1), LARGEST),
             "mpc.discount": discount, "mcts.discount": discount,
         })  # fmt: skip
+
+
+def rule(options: MazeOptions) -> SolveRule:
+    """When a run counts as solved."""
+    return RULE
 
 
 TUNED = MazeOptions(arms=("model_free", "dyna"), episodes=500, stop_after_solved=0)

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from jaxdyna.experiments.report.tables import Results, Table, with_interval
+from jaxdyna.experiments.report.sections import paragraphs
+from jaxdyna.experiments.report.tables import Results, Table, markdown_table, with_interval
 from jaxdyna.statistics import mean_of_runs
 
 LATER = slice(50, 100)
 """Real episodes whose return is compared: after every imitation, and every run plays them."""
 FIRST = "dyna"
-TITLE = "Sub-optimal trajectories, or an initialisation from MPC? (§1.1)"
 SAID = (
     "Return: mean of the real episodes 51 to 100, which every run plays and which come after all "
     f"imitation. An arm stands beside `{FIRST}` with as good models; all but "
@@ -31,6 +31,15 @@ def describe(options: Any, curves: Mapping[str, np.ndarray]) -> Results:
     returns = curves["real_return"][:, LATER]
     whole = returns.shape[1] == LATER.stop - LATER.start and np.isfinite(returns).all()
     return {"later_return": returns.mean(1).tolist()} if whole else {}
+
+
+def robust(record: Any) -> str:
+    """Whether dreams are more robust than an initialisation from a planner; empty where too little
+    was played.
+    """
+    header, lines = table(record.results["arms"])
+    title = "## Sub-optimal trajectories, or an initialisation from MPC? (§1.1)"
+    return paragraphs(title, SAID, markdown_table(header, lines)) if lines else ""
 
 
 def table(arms: Results) -> Table:

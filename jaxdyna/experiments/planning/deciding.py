@@ -80,7 +80,7 @@ STUDY = Study(
     quick=LEAST,
     sections=(
         report.decisions, rows("first_solved"), sections.arms_said(SAID),
-        sections.solved_share(rule), sections.distribution, report.robust, sections.settings,
+        sections.solved_share(rule), sections.distribution, claim.robust, sections.settings,
         sections.spent,
     ),
 )  # fmt: skip

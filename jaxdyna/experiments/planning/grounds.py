@@ -8,13 +8,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.dyna import Dyna, DynaHParams, DynaState
+from jaxdyna.dyna import Dyna, DynaHParams, DynaState, experts
 from jaxdyna.envs import Maze
 from jaxdyna.experiments import cartpole, maze
 from jaxdyna.experiments.engine import Arm
 from jaxdyna.experiments.maze.arms import agent_of, model_of
 from jaxdyna.experiments.planning.budgets import Contender, Ground
-from jaxdyna.experiments.study import planners as guides
 from jaxdyna.experiments.study.arms import greedy
 from jaxdyna.fields import changed, check, setting
 from jaxdyna.planners import ShootingConfig, muzero, random_shooting, solve_maze
@@ -75,7 +74,7 @@ def cartpole_ground(key: Key, sizes: Sizes) -> Grounds:
 def cartpole_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Contender]:
     """Who is compared in CartPole."""
     of, depth = partial(planner, dyna, options.hparams), options.mcts_rollout
-    at_leaves = partial(guides.random_episodes, discount=options.mcts.discount, steps=depth)
+    at_leaves = partial(experts.random_episodes, discount=options.mcts.discount, steps=depth)
 
     yield policy(dyna, options.hparams.agent)
     for count in sizes.candidates:
@@ -114,7 +113,7 @@ def maze_ground(key: Key, sizes: Sizes) -> Grounds:
 def maze_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Contender]:
     """Who is compared in the Maze."""
     of = partial(planner, dyna, options.hparams)
-    ahead, values = int(FAR * 2 * (options.size - 1)), guides.by_values(agent_of(options))
+    ahead, values = int(FAR * 2 * (options.size - 1)), experts.by_values(agent_of(options))
 
     yield policy(dyna, greedy(options.hparams.agent))
     for count in sizes.far_candidates:
@@ -139,8 +138,8 @@ def policy(dyna: Dyna, hparams: Any) -> Contender:
 
 
 def planner(
-    dyna: Dyna, hparams: DynaHParams, who: str, steps: int, make: guides.MakePlanner, config: Any,
-    guide_in: Callable[[Any], guides.MakeGuide] = lambda world: guides.without_guide,
+    dyna: Dyna, hparams: DynaHParams, who: str, steps: int, make: experts.MakePlanner, config: Any,
+    guide_in: Callable[[Any], experts.MakeGuide] = lambda world: experts.without_guide,
 ) -> tuple[Contender, Contender]:  # fmt: skip
     """One that plans in the true environment from the true state, and one in the learned one from
     what is seen.
@@ -148,7 +147,7 @@ def planner(
     assert dyna.dream is not None
     true, dreamed = dyna.env, dyna.dream.env
     plan, guide = make(true, config), guide_in(true)
-    imagine = guides.on_model(dyna, make(dreamed, config), guide_in(dreamed))
+    imagine = experts.on_model(dyna, make(dreamed, config), guide_in(dreamed))
 
     def knowing(state: DynaState, obs: jax.Array, true_state: Any, key: Key) -> jax.Array:
         told = guide(state, hparams, hparams.env)

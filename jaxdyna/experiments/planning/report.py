@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 
 from jaxdyna.experiments.engine import Record, Results
-from jaxdyna.experiments.planning import claim
 from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report.sections import paragraphs
 from jaxdyna.experiments.report.tables import interval, markdown_table
@@ -35,7 +34,8 @@ def decisions(record: Record) -> str:
     budgets = record.results["budgets"]
     if not budgets:
         return ""
-    places = by_environment(budgets)
+    places = {name: [row for row in budgets if row["environment"] == name]
+              for name in dict.fromkeys(row["environment"] for row in budgets)}  # fmt: skip
     figure(record.out / "decisions.png", places)
     return paragraphs(
         "## What a decision costs, and what it earns",
@@ -44,21 +44,6 @@ def decisions(record: Record) -> str:
         GROUNDS,
         "![share of the return that could be had, against milliseconds a decision](decisions.png)",
     )
-
-
-def robust(record: Record) -> str:
-    """Whether dreams are more robust than an initialisation from a planner."""
-    header, lines = claim.table(record.results["arms"])
-    said = claim.SAID, markdown_table(header, lines)
-    return paragraphs(f"## {claim.TITLE}", *said) if lines else ""
-
-
-def by_environment(budgets: list[Results]) -> dict[str, list[Results]]:
-    """The rows of each, the policy's first."""
-    found: dict[str, list[Results]] = {}
-    for row in budgets:
-        found.setdefault(row["environment"], []).append(row)
-    return found
 
 
 def table(rows: list[Results]) -> str:

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 
 from jaxdyna.agents import DQNConfig, dqn
 from jaxdyna.dyna import Dyna, DynaConfig, Metrics
+from jaxdyna.dyna.frames import frame_dyna, true_dyna
 from jaxdyna.envs import AtariParams, FrameStack
 from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.guided import guided
 from jaxdyna.experiments.pong.options import TRUE_OBJECTS, PongOptions
 from jaxdyna.experiments.pong.trained import given
 from jaxdyna.experiments.study import arms as study
-from jaxdyna.experiments.study.frames import frame_dyna, true_dyna
 from jaxdyna.models import AdversarialHParams
 from jaxdyna.networks import ConvolutionalQ, FeaturePointQ, PlainQ, SignedReward
 from jaxdyna.rollout import rollout

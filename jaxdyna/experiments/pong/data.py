@@ -15,8 +15,8 @@ import numpy as np
 
 from jaxdyna.envs import CHANNELS, AtariParams, AtariPong, Palette, Pong, PongParams, PongState
 from jaxdyna.envs.pong_rules import BALL, PADDLE
-from jaxdyna.envs.pong_screen import picture_of
-from jaxdyna.experiments.pong.world import NUM_FRAMES, OBJECTS, middles
+from jaxdyna.envs.pong_screen import middles, picture_of
+from jaxdyna.experiments.pong.world import NUM_FRAMES, OBJECTS
 from jaxdyna.types import Key, Transition
 
 NEAR = 10

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxdyna import losses, models
 from jaxdyna.envs import AtariPong
-from jaxdyna.envs.pong_screen import mixture_of, shares_of
+from jaxdyna.envs.pong_screen import in_channels, mixture_of, shares_of
 from jaxdyna.experiments.engine import Arm, Experiment, Record, Runs, Work
 from jaxdyna.experiments.frames.options import FrameOptions, Training
 from jaxdyna.experiments.frames.report import FrameReport
@@ -111,7 +111,7 @@ def asked(options: PongFrames, arm: str) -> tuple[DynamicsModel, Asked]:
         knows = models.rectangle_probability(game.frame_shape, actions, config)
 
         def believe(params: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
-            return knows(params, world.in_channels(obs, palette), action)
+            return knows(params, in_channels(obs, palette), action)
 
         return model, Asked(
             believe, rules, 0.5, options.keep,
@@ -207,7 +207,7 @@ def _example(options: PongFrames, truth: Callable[..., jax.Array], data: Any) ->
 def seen(options: PongFrames, stack: np.ndarray) -> np.ndarray:
     """A stack as one picture in [0, 1], the older frames fainter."""
     palette = PALETTES[options.frames]
-    channels = world.in_channels(jnp.asarray(stack), palette)
+    channels = in_channels(jnp.asarray(stack), palette)
     faint = jnp.asarray(pictures.trail(np.asarray(channels) / 255))
     return np.asarray(mixture_of(faint, palette)) / 255
 

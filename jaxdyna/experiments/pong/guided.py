@@ -12,10 +12,10 @@ import numpy as np
 from flax import struct
 
 from jaxdyna.dyna import Dream, Dyna, DynaHParams, DynaState
+from jaxdyna.dyna.frames import draw_state, with_states
 from jaxdyna.envs import CHANNELS, Palette, Replayed, ReplayedParams, StackState
-from jaxdyna.envs.pong_screen import mixture_of, shares_of
-from jaxdyna.experiments.pong.world import OBJECTS, in_channels
-from jaxdyna.experiments.study.frames import draw_state, with_states
+from jaxdyna.envs.pong_screen import in_channels, mixture_of, shares_of
+from jaxdyna.experiments.pong.world import OBJECTS
 from jaxdyna.models.evaluation import Predict
 from jaxdyna.types import Key
 

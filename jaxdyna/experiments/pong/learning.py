@@ -5,23 +5,16 @@ from typing import Any
 from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.arms import GAMES, GREEDY_EPISODES, SAID, arms
-from jaxdyna.experiments.pong.options import (
-    LEAN,
-    MAIN_ARMS,
-    PAPER,
-    QUICK,
-    QUICK_PAPER,
-    TUNED,
-    PongOptions,
-)
+from jaxdyna.experiments.pong.options import LEAN, MAIN_ARMS, PAPER, QUICK, TUNED, PongOptions
 from jaxdyna.experiments.report import frames, plots
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import comparison, comparisons
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
+from jaxdyna.experiments.study.grids import both_grids
 from jaxdyna.statistics import SolveRule, mean_of_runs
 
 FILM_STEPS, SMOOTHED = 150, 10
-BASELINES = ("model_free", "max_updates", "more_updates")
+DREAMLESS = ("model_free", "max_updates", "more_updates")
 BLURRED, CONTROL = "dyna_l2", "more_updates"
 DRAWN = (*MAIN_ARMS, CONTROL)
 MEASURES = {
@@ -116,13 +109,15 @@ def final(record: Any) -> str:
 PONG = Experiment(
     name="pong", title="Pong: learning to play", arms=arms, rule=rule,
     presets={"tuned": TUNED, "lean": LEAN, "paper": PAPER},
-    quick=dict.fromkeys(("tuned", "lean"), QUICK) | {"paper": QUICK_PAPER},
-    describe=(describe,),
+    quick=QUICK, describe=(describe,),
     sections=(
-        about, report.solving(rule), in_steps, report.equal_episodes(BASELINES),
+        about, report.solving(rule), in_steps, report.equal_episodes(DREAMLESS),
         report.learning_curves(rule, said="point difference against real episodes",
                                what="point difference", window=SMOOTHED, arms=DRAWN),
         report.behaviour(MEASURES, SMOOTHED, "points.png", arms=DRAWN),
         cause, report.endings(rule), final, report.arms_said(SAID), report.settings, report.spent,
     ),
 )  # fmt: skip
+BASELINES, DYNA_GRID = both_grids(
+    "Pong", PONG, ratios=(0.5, 1, 2.25, 5), between=10_000, counts=(50, 100, 200, 400), kept=200
+)

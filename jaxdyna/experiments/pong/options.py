@@ -8,6 +8,7 @@ import optax
 
 from jaxdyna.agents import DQNConfig, DQNHParams
 from jaxdyna.dyna import DynaConfig, DynaHParams
+from jaxdyna.experiments.engine import Overrides
 from jaxdyna.experiments.pong.trained import checksum
 from jaxdyna.experiments.pong.world import RULES, GameOptions
 from jaxdyna.fields import LARGEST, SettingError, changed, setting
@@ -113,14 +114,13 @@ PAPER = changed(TUNED, {
 """As literally as the paper can be read, line by line in ``docs/paper-method.md``; models are
 trained beforehand, see ``models``.
 """
-QUICK = SOONER | {
+FEW: Overrides = {
     "seeds": 2, "episodes": 24, "steps": 100, "widths": (8, 8, 8), "dense": 64, "hidden": (64, 64),
-    "dyna.num_real_first": 8, "dyna.model_updates": 30, "dyna.model_batch": 32,
-    "dyna.dream_episodes": 25, "agent.updates": 30, "agent.fake_updates": 30,
-    "agent.fake_capacity": 5_000,
+    "dyna.num_real_first": 8, "agent.updates": 30, "agent.fake_updates": 30,
+    "agent.fake_capacity": 5_000, "hparams.agent.epsilon_episodes": 10.0,
 }  # fmt: skip
-QUICK_PAPER = {
-    "seeds": 2, "episodes": 24, "steps": 100, "widths": (8, 8, 8), "dense": 64, "hidden": (64, 64),
-    "agent_dense": 32, "dyna.num_real_first": 8, "dyna.model_updates": 8, "agent.updates": 30,
-    "agent.fake_updates": 30, "agent.fake_capacity": 5_000, "hparams.agent.epsilon_episodes": 10.0,
+OURS: Overrides = {**FEW, "hparams.agent.epsilon_hold": 5.0, "dyna.model_updates": 30,
+                   "dyna.model_batch": 32, "dyna.dream_episodes": 25}  # fmt: skip
+QUICK: dict[str, Overrides] = {
+    "tuned": OURS, "lean": OURS, "paper": {**FEW, "agent_dense": 32, "dyna.model_updates": 8},
 }  # fmt: skip

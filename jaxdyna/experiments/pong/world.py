@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jaxdyna import models
 from jaxdyna.envs import CHANNELS, AtariPong, Palette, Pong, PongParams
 from jaxdyna.envs.pong_rules import FASTEST, FIELD
-from jaxdyna.envs.pong_screen import picture_of
+from jaxdyna.envs.pong_screen import in_channels, picture_of
 from jaxdyna.experiments.engine import Options
-from jaxdyna.experiments.frames.options import decayed_adam
 from jaxdyna.fields import setting
 from jaxdyna.losses import PixelLoss, l2
 from jaxdyna.networks import Discriminator, EncoderDecoder, Patched, Resolution
+from jaxdyna.optimizers import decayed_adam
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 
 PALETTES = {"objects": CHANNELS, "rgb": Palette()}
@@ -119,23 +119,3 @@ def in_colours(model: DynamicsModel, palette: Palette) -> DynamicsModel:
         return model.update(state, transitions._replace(obs=obs, next_obs=next_obs), key, hparams)
 
     return DynamicsModel(model.init, predict, update)
-
-
-def in_channels(stack: jax.Array, palette: Palette) -> jax.Array:
-    """A stack ``[..., H, W, 3 * frames]`` in these colours, each object in a channel of its own,
-    uint8. They are told by how red they are, in which they all differ.
-    """
-    if palette == CHANNELS:
-        return stack
-    reds = jnp.array([colour[0] for colour in (palette.opponent, palette.own, palette.ball)])
-    red = stack.reshape(*stack.shape[:-1], -1, 3)[..., :1]
-    return 255 * (red == reds.astype(jnp.uint8)).reshape(stack.shape).astype(jnp.uint8)
-
-
-def middles(masks: jax.Array, axis: int, scale: int = 1) -> jax.Array:
-    """Mean row or column, in pixels ``1 / scale`` as large, of a thing in each frame of ``[H, W,
-    frames]``: ``[frames]``, 0 where there is none.
-    """
-    profile = masks.sum(1 - axis)
-    numbers = jnp.arange(profile.shape[0]) + 0.5
-    return scale * (numbers @ profile) / jnp.maximum(profile.sum(0), 1)

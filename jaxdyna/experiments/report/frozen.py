@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxdyna.experiments.report import plots
-from jaxdyna.experiments.report.sections import Rule, drawn, from_the_first, told
+from jaxdyna.experiments.report.sections import Rule, drawn, told
 from jaxdyna.experiments.report.summaries import Curves
 from jaxdyna.experiments.report.tables import Results, markdown_table, median, paragraphs, per_seed
 from jaxdyna.statistics import SolveRule, mean_of_runs, summarise
@@ -102,13 +102,10 @@ def frozen(record: Any, rule: Rule) -> str:
     shown = drawn(record, tuple(arms))
     latest = max(np.nansum(curves["real_length"], axis=1).max() for curves in shown.values())
     at, solves = np.geomspace(FIRST / 2, max(latest, FIRST), POINTS), rule(record.options)
-    lines = {name: (worth(curves, at) >= threshold(curves, solves)).astype(float)
+    lines = {name: worth(curves, at) >= threshold(curves, solves)
              for name, curves in shown.items()}  # fmt: skip
-    there = plots.bands(
-        record.out / "frozen.png", {"": lines}, "real steps",
-        "share of runs whose policy earns it,\n95% interval (Clopper and Pearson)",
-        at=at, interval=from_the_first, ylim=(-0.02, 1.02), xscale="log",
-    )  # fmt: skip
+    there = plots.shares(record.out / "frozen.png", lines, "real steps",
+                         "share of runs whose policy earns it", at=at, xscale="log")  # fmt: skip
     often = "each" if dyna.eval_every == 1 else f"every {dyna.eval_every}"
     episodes = "real episode" if dyna.eval_every == 1 else "real episodes"
     return paragraphs(

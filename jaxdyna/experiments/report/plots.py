@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from jaxdyna.experiments.report import tables
-from jaxdyna.statistics import FEW, carried, mean_interval, running_mean
+from jaxdyna.statistics import FEW, carried, mean_interval, running_mean, share_interval
 
 WIDTH = 8.3
 """Of every figure, in inches: 830 pixels where pages show them."""
@@ -148,6 +148,19 @@ def bands(
     legend_above(figure, drawn.flat, legend)
     save(figure, path)
     return True
+
+
+def shares(path: Path, hits: Mapping[str, np.ndarray], x: str, y: str, **more: Any) -> bool:
+    """`bands` of shares of the seeds, by name bool ``[seeds, n]``; shaded from the first seed's hit
+    on: before, all are the same.
+    """
+
+    def interval(hits: np.ndarray) -> np.ndarray:
+        return np.where(hits.any(0), share_interval(hits), np.nan)
+
+    lines = {name: values.astype(float) for name, values in hits.items()}
+    y = f"{y},\n95% interval (Clopper and Pearson)"
+    return bands(path, {"": lines}, x, y, interval=interval, ylim=(-0.02, 1.02), **more)
 
 
 def _vary(values: Iterable[np.ndarray]) -> bool:

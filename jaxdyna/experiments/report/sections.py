@@ -12,21 +12,8 @@ import numpy as np
 from jaxdyna import fields
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.summaries import HELD_EPISODES, break_even, comparison, comparisons
-from jaxdyna.experiments.report.tables import (
-    Results,
-    markdown_table,
-    paragraphs,
-    runs,
-    with_interval,
-)
-from jaxdyna.statistics import (
-    FEW,
-    SolveRule,
-    episodes_to_solve,
-    mean_of_runs,
-    share_interval,
-    summarise,
-)
+from jaxdyna.experiments.report.tables import Results, markdown_table, paragraphs, runs
+from jaxdyna.statistics import FEW, SolveRule, episodes_to_solve, mean_of_runs, summarise
 
 Section = Callable[[Any], str]
 Rule = Callable[[Any], SolveRule]
@@ -45,8 +32,11 @@ WRONG = {
 }
 """Curves of how wrong a model is one step ahead: `jaxdyna.models.evaluation.frame_errors`."""
 NOT_SHOWN = ("preset", "quick", "arms")
-ARMS_OWN = ("dqn", "mpc", "mcts")
-"""Arms, or what these begin with, that have settings of their own: told where they are played."""
+ARMS_OWN = {
+    "dqn": ("dqn",), "mpc": ("mpc",), "mcts": ("mcts",),
+    "cloning": ("mpc_init", "mpc_clone"), "shown": ("mpc_init", "mpc_clone"),
+}  # fmt: skip
+"""What settings begin with that are told only where one of these arms, or of what begins so, is."""
 
 
 def told(section: Callable[Concatenate[Any, P], str]) -> Callable[P, Section]:
@@ -162,7 +152,7 @@ def area(record: Any) -> str:
     if len(returns) < 2:
         return ""
     end = min(int(np.isfinite(values).sum(1).min()) for values in returns.values())
-    said = [f"{name} {with_interval(mean_of_runs(values[:, :end].mean(1)), 1)}"
+    said = [f"{name} {tables.with_interval(mean_of_runs(values[:, :end].mean(1)), 1)}"
             for name, values in returns.items()]  # fmt: skip
     return (
         "Without a threshold, the area under the learning curve: the mean return of the first "
@@ -213,24 +203,14 @@ def _begun(arm: str) -> str:
 @told
 def solved_share(record: Any, rule: Rule) -> str:
     """The share of the runs that have solved, against real episodes."""
-    if not record.curves:
-        return ""
     solves, solved = rule(record.options), {}
     for name, curves in record.curves.items():
         at = episodes_to_solve(solves.score(curves), solves)
         played = int(np.isfinite(curves["real_return"]).sum(1).max())
-        solved[name] = (at[:, None] <= np.arange(1, played + 1)).astype(float)
-    there = plots.bands(
-        record.out / "solved.png", {"": solved}, "real episodes",
-        "share of the runs that have solved,\n95% interval (Clopper and Pearson)",
-        interval=from_the_first, ylim=(-0.02, 1.02),
-    )  # fmt: skip
-    return "![share of the runs that have solved](solved.png)" if there else ""
-
-
-def from_the_first(solved: np.ndarray) -> np.ndarray:
-    """`share_interval` once a run has solved: before, all arms' are the same."""
-    return np.where(solved.any(0), share_interval(solved), np.nan)
+        solved[name] = at[:, None] <= np.arange(1, played + 1)
+    said = "share of the runs that have solved"
+    there = plots.shares(record.out / "solved.png", solved, "real episodes", said)
+    return f"![{said}](solved.png)" if there else ""
 
 
 def drawn(record: Any, arms: Sequence[str]) -> Mapping[str, Any]:
@@ -251,8 +231,6 @@ def behaviour(
         for key, title in measures.items()
     }
     panels = {title: lines for title, lines in panels.items() if lines}
-    if not panels:
-        return ""
     axis = f"real episodes\n(running mean of {window})"
     if not plots.bands(record.out / name, panels, axis, window=window, ylim=(0, None)):
         return ""
@@ -310,7 +288,7 @@ def endings(record: Any, rule: Rule) -> str:
     short = stop is not None and stop < HELD_EPISODES
     rows = [
         [name, f"{arm['episodes_played']['mean']:,.0f}",
-         with_interval(arm["final_return"], 1 if solves.threshold > 10 else 2),
+         tables.with_interval(arm["final_return"], 1 if solves.threshold > 10 else 2),
          "-" if short else f"{arm['solved_and_held']}/{arm['final_return']['seeds']}"]
         for name, arm in record.results["arms"].items()
     ]  # fmt: skip
@@ -340,8 +318,8 @@ def equal_episodes(
         return ""
     at = {name: values[:, end - last : end].mean(1) for name, values in returns.items()}
     rows = [
-        [name, with_interval(mean_of_runs(mine), 2),
-         *("-" if name == other else with_interval(mean_of_runs(mine - at[other]), 2, "+")
+        [name, tables.with_interval(mean_of_runs(mine), 2),
+         *("-" if name == other else tables.with_interval(mean_of_runs(mine - at[other]), 2, "+")
            for other in known)]
         for name, mine in at.items()
     ]  # fmt: skip
@@ -363,8 +341,10 @@ def arms_said(record: Any, said: Mapping[str, str]) -> str:
 def settings(record: Any) -> str:
     """Everyday settings, and whatever is not as declared."""
     results = record.results
-    arms = grouped(record) if results.get("part") == results.get("experiment") else ARMS_OWN
-    unplayed = {own for own in ARMS_OWN if not any(arm.startswith(own) for arm in arms)}
+    every = results.get("part") != results.get("experiment")
+    arms = [] if every else [*grouped(record)]
+    unplayed = {own for own, users in ARMS_OWN.items()
+                if not every and not any(arm.startswith(users) for arm in arms)}  # fmt: skip
     rows = [
         [f"`{leaf.path}`", _said(record.results["sweep"].get(leaf.path, leaf.value)), leaf.help]
         for leaf in fields.leaves(record.options)

@@ -120,7 +120,8 @@ def comparison(
             continue
         beside = []
         if ratio["ci95"] is not None:
-            beside += [f"95% interval {interval(ratio['ci95'], 2)}", _p_value(ratio["p"])]
+            p = "p < 0.001" if ratio["p"] < 0.001 else f"p = {ratio['p']:.3f}"
+            beside += [f"95% interval {interval(ratio['ci95'], 2)}", p]
         beside += [f"the paper's is {paper[name]:.2g}"] if name in paper else []
         said = f" ({', '.join(beside)})" if beside else ""
         found = f"{name} needs **{ratio['ratio']:.2f}** of {other}'s {UNITS[figure]}"
@@ -158,10 +159,6 @@ def break_even(
     steps = [restricted(arms[name]["real_steps_to_solve"]).mean() for name in (arm, baseline)]
     extra, saved = each[0] - each[1], float(steps[1] - steps[0])
     return (extra, saved, 1000 * max(extra, 0.0) / saved) if saved > 0 else None
-
-
-def _p_value(p: float) -> str:
-    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
 
 
 def _verdict(ratio: Results) -> str:

@@ -1,1 +1,1 @@
-"""What studies are put together from: the standard arms, planners as arms, tables of overrides."""
+"""What studies are put together from: the standard arms, tables of overrides."""

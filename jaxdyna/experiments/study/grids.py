@@ -13,10 +13,14 @@ from jaxdyna.experiments.report.rows import ranking
 Rows = dict[str, Overrides]
 TARGETS = (1, 3)
 """Rewards in a target."""
+RATES = (3e-4, 1e-3)
+"""A DQN's learning rates."""
+SHARES = (0.5, 0.75)
+"""Of each batch that are dreamed."""
 
 
 def baselines(
-    agent: str, hparams: str, ratios: Sequence[float], rates: Sequence[float], between: int,
+    agent: str, hparams: str, ratios: Sequence[float], between: int,
     said: Callable[[float], Overrides],
 ) -> Rows:  # fmt: skip
     """A DQN by itself: more updates a real step overfit what was seen first, unless the networks
@@ -26,7 +30,6 @@ def baselines(
         agent: path of its configuration.
         hparams: path of its values.
         ratios: gradient steps for each real step.
-        rates: learning rates.
         between: real steps from one new beginning of the networks to the next, where there are any.
         said: what sets a ratio.
     """
@@ -37,20 +40,13 @@ def baselines(
             f"{hparams}.learning_rate": rate,
             f"{agent}.n_step": length,
         }
-        for ratio, steps, rate, length in product(ratios, (0, between), rates, TARGETS)
+        for ratio, steps, rate, length in product(ratios, (0, between), RATES, TARGETS)
     }
 
 
-def dreams(
-    counts: Sequence[int], shares: Sequence[float], rates: Sequence[float], kept: int
-) -> Rows:
-    """A DQN that dreams.
-
-    Args:
-        counts: fake episodes after each real one.
-        shares: of each batch that are dreamed.
-        rates: learning rates.
-        kept: fake transitions for each of those episodes.
+def dreams(counts: Sequence[int], kept: int) -> Rows:
+    """A DQN that dreams so many fake episodes after each real one, of each of which so many
+    transitions are kept.
     """
     return {
         f"dreams {count}, share {share:g}, rate {rate:g}, {length}-step": {
@@ -60,7 +56,7 @@ def dreams(
             "hparams.agent.learning_rate": rate,
             "agent.n_step": length,
         }
-        for count, share, rate, length in product(counts, shares, rates, TARGETS)
+        for count, share, rate, length in product(counts, SHARES, RATES, TARGETS)
     }
 
 
@@ -75,4 +71,25 @@ def grid(
         name=name, title=title, of=of, preset="tuned", rows=rows, arm=arm,
         common={"stop_after_solved": 0, "dyna.eval_every": 0},
         sections=(ranking(rows), report.settings, report.spent),
+    )  # fmt: skip
+
+
+def both_grids(
+    world: str, of: Experiment, ratios: Sequence[float], between: int, counts: Sequence[int],
+    kept: int,
+) -> tuple[Study, Study]:  # fmt: skip
+    """Those of a DQN in a world, called so in titles, whose episodes are all ``steps`` long; for
+    the numbers see `baselines` and `dreams`.
+    """
+
+    def alone(options: Any) -> Rows:
+        def updates(ratio: float) -> Overrides:
+            return {"agent.updates": round(ratio * options.steps)}
+
+        return baselines("agent", "hparams.agent", ratios, between, updates)
+
+    title = f"The strongest agent without a model in {world}"
+    return grid("baselines", title, of, "model_free", alone), grid(
+        "dyna_grid", f"Dyna in {world}, with as many settings", of, "dyna",
+        lambda options: dreams(counts, kept),
     )  # fmt: skip

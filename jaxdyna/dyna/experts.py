@@ -1,4 +1,4 @@
-"""Arms with a planner on the learned model (§1.1): it acts after the first N real episodes, or it
+"""Planners on the learned model as experts (§1.1): one acts after the first N real episodes, or it
 acts in some of them, which the agent imitates (Nagabandi et al. 2018).
 """
 
@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxdyna.agents import CloningState, DQNConfig, q_values
-from jaxdyna.dyna import Dyna, DynaHParams, DynaState, Expert
+from jaxdyna.dyna.config import DynaHParams
+from jaxdyna.dyna.parts import Dyna, DynaState, Expert
 from jaxdyna.models import LearnedState
 from jaxdyna.planners import Guide, Planner, rollout_value
 from jaxdyna.types import Key
