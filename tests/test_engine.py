@@ -448,11 +448,25 @@ def test_what_the_host_collects_follows_its_runs():
 
 
 def test_devices_help_one_another(leaving, monkeypatch):
+    """Also where one of them has begun all blocks."""
     alone, count, _ = leaving
-    monkeypatch.setattr(work, "places", lambda workers: jax.devices()[:3])
+    begin, played, on = work._Pool._begin, work._Block.play, []
+
+    def greedy(pool, place):
+        while pool.unbegun:
+            begin(pool, place)
+
+    def noted(block):
+        on.append(block.program.place)
+        played(block)
+
+    monkeypatch.setattr(work, "places", lambda workers: jax.devices()[:2])
+    monkeypatch.setattr(work._Pool, "_begin", greedy)
+    monkeypatch.setattr(work._Block, "play", noted)
     ours, fewer = pieces(LEAVING_ARMS, MANY)
     assert_same_runs(ours, alone)
-    assert fewer < count
+    assert fewer == len(on) < count
+    assert min(on.count(place) for place in jax.devices()[:2]) > len(on) / 4
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -502,6 +516,25 @@ def test_killed_between_any_two_files_and_resumed_is_uninterrupted(leaving, tmp_
         assert rest < count
 
 
+def test_the_two_newest_checkpoints_are_of_different_units(leaving, tmp_path, monkeypatch):
+    """Also where all is saved again because of Ctrl-C, or before anything was played on."""
+    monkeypatch.setattr(checkpoint, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(checkpoint, "CHECKPOINT_SHARE", 1e9)
+    for played in (10, 4):
+        engine = Engine(workers=1, programs=leaving[2])
+        store, until = Store(tmp_path / "arm"), stopping_after(engine, played, scattered)
+        with pytest.raises(Interrupted):
+            play(engine, LEAVING_ARMS[:1], MANY, until, store=store)
+        both = [row for row in range(len(MANY)) if (store.folder / f"run{row}.before.npz").exists()]
+        for row in both:
+            before = store._read(store.folder / f"run{row}.before.npz")
+            assert before.done < store.load(row).done or store.load(row).over
+        assert len(both) > 5
+        engine.interrupted.set()
+        with pytest.raises(Interrupted):
+            play(engine, LEAVING_ARMS[:1], MANY, scattered, store=Store(store.folder))
+
+
 @pytest.mark.parametrize("workers", [1, 2])
 def test_where_a_block_fails_those_that_wait_are_saved(leaving, workers, tmp_path):
     alone, count, programs = leaving
@@ -549,8 +582,9 @@ sys.exit(main(*PARTS, prog="python -m jaxdyna.experiments.{world}"))
 """
 KILLED = {
     "catch": [
-        "catch", "--rows", "3", "--columns", "2", "--seeds", "3", "--episodes", "600",
-        "--stop-after-solved", "None", "--agent.updates", "1", "--agent.fake-updates", "1",
+        "catch", "--rows", "3", "--columns", "2", "--seeds", "7", "--block", "2",
+        "--episodes", "600", "--stop-after-solved", "400", "--agent.n-step", "1",
+        "--agent.updates", "1", "--agent.fake-updates", "1",
         "--agent.batch", "16", "--widths", "2", "--dyna.num-real-first", "3",
         "--dyna.model-updates", "1", "--dyna.model-batch", "4", "--dyna.dream-episodes", "2",
     ],
