@@ -121,6 +121,13 @@ def test_memory_counts_every_array_and_whatever_is_known_to_be_free():
         memory.afford(memory.available(place), 7, 2, place)
 
 
+def test_blocks_may_fill_half_of_what_is_free(monkeypatch):
+    monkeypatch.setattr(memory, "available", lambda place: 100)
+    assert [memory.spare(need, 8, None) for need in (0, 5, 10, 49, 51)] == [8, 8, 5, 1, 0]
+    monkeypatch.setattr(memory, "available", lambda place: None)
+    assert memory.spare(10, 8, None) == 8
+
+
 @pytest.mark.slow
 def test_what_decides_the_program_is_swept_in_several(play):
     """Bit for bit as alone: the next test says it of a grid."""
