@@ -17,7 +17,7 @@ EXAMPLES = Path(__file__).parent.parent / "docs" / "examples"
 FLAGS = ["--seeds", "4", "--sweep", "hparams.agent.learning_rate=0.01,0.02", "--out-of", "a b"]
 SBATCH = """#!/usr/bin/env bash
 printf '%s\\n' "$@" >> sbatch.txt
-script=$(mktemp ./script.XXXX); cat > "$script"
+script=$(mktemp -p .); cat > "$script"
 case "$*" in
   *--array=1-2*) for one in 1 2; do SLURM_ARRAY_TASK_ID=$one bash "$script"; done; echo "7;here" ;;
   *) bash "$script"; echo 8 ;;

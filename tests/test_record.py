@@ -8,6 +8,7 @@ import time
 import tomllib
 from pathlib import Path
 
+import chex
 import numpy as np
 import pytest
 
@@ -173,6 +174,28 @@ def test_reports_are_drawn_anew_from_curves(book, capsys):
     assert (book / "tiny" / "results.json").read_bytes() == results
     figures = {path.name for path in report.parent.glob("*.png")}
     assert figures and all(f"]({figure})" in report.read_text() for figure in figures)
+
+
+def test_drawn_anew_by_later_settings_results_and_curves_are_of_the_same_run(book):
+    folder = book / "tiny"
+    results = json.loads((folder / "results.json").read_text())
+    del results["checksum"], results["config"]["dyna"]["eval_every"]  # as of before there was one
+    curves = storage.read_curves(folder / "curves.npz")
+    storage.write_json(folder / "results.json", results)
+    storage.write_curves(folder / "curves.npz", curves, storage.identity(results))
+    for _ in range(2):
+        assert record.main(["--redraw", "tiny", "--book", str(book)]) == 0
+        results = storage.read_json(folder / "results.json")
+        assert "eval_every" in results["config"]["dyna"]
+        again = storage.read_curves(folder / "curves.npz", storage.identity(results))
+        chex.assert_trees_all_equal(again, curves)
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_curves_are_those_of_their_results(name):
+    results = storage.read_json(BOOK / name / "results.json")
+    if "part" in results:  # of today's format
+        assert storage.read_curves(BOOK / name / "curves.npz", storage.identity(results))
 
 
 @pytest.fixture

@@ -330,10 +330,13 @@ def redraw(plans: Mapping[str, Plan], folder: Path) -> None:
             print(f"{name}: not drawn ({state})")
             continue
         experiment, options, setups = recorded(state.results)
-        curves = storage.read_curves(out / "curves.npz", storage.identity(state.results))
+        before = storage.identity(state.results)
+        curves = storage.read_curves(out / "curves.npz", before)
         with folders.held(out):
             results = results_of(experiment, options, setups, curves, state.results)
             storage.write_json(out / "results.json", results)
+            if (now := storage.identity(results)) != before:  # settings that there were not then
+                storage.write_curves(out / "curves.npz", curves, now)
             write_report(experiment, Record(options, results, curves, out))
         print(f"{name}: drawn")
 

@@ -341,10 +341,10 @@ def arms_said(record: Any, said: Mapping[str, str]) -> str:
 def settings(record: Any) -> str:
     """Everyday settings, and whatever is not as declared."""
     results = record.results
-    every = results.get("part") != results.get("experiment")
-    arms = [] if every else [*grouped(record)]
-    unplayed = {own for own, users in ARMS_OWN.items()
-                if not every and not any(arm.startswith(users) for arm in arms)}  # fmt: skip
+    unplayed = set()  # the rows of a study may be any arm's
+    if results.get("part") == results.get("experiment"):
+        unplayed = {own for own, users in ARMS_OWN.items()
+                    if not any(arm.startswith(users) for arm in grouped(record))}  # fmt: skip
     rows = [
         [f"`{leaf.path}`", _said(record.results["sweep"].get(leaf.path, leaf.value)), leaf.help]
         for leaf in fields.leaves(record.options)
