@@ -307,7 +307,7 @@ def test_a_run_stops_some_episodes_after_it_has_solved(tmp_path):
     still = ["--hparams.env.force-mag", "0", "--hparams.env.gravity", "0"]
     still += ["--hparams.env.reset-bound", "0.01"]
     arguments = ["--arms", "model_free", "--stop-after-solved", "20", *still]
-    for extra, length in (([], 150), (["--stop-after-solved", "None"], 160)):
+    for extra, length in (([], 125), (["--stop-after-solved", "None"], 160)):
         play(tmp_path, "--episodes", "160", *arguments, *extra)
         curves = read_curves(tmp_path / "curves.npz")["model_free"]
         assert curves["real_return"].shape == (2, length)

@@ -108,7 +108,7 @@ def rule(options: CartPoleOptions) -> SolveRule:
     return RULES[options.env_version]
 
 
-TUNED = CartPoleOptions(arms=("model_free", "dyna"), stop_after_solved=100, block=5)
+TUNED = CartPoleOptions(arms=("model_free", "dyna"), stop_after_solved=100, block=2)
 LEAN = changed(TUNED, {
     "preset": "lean", "episodes": 150, "stop_after_solved": None, "block": 1,
     "dyna.num_real_first": 3, "dyna.model_updates": 1000, "dyna.model_batch": 32,

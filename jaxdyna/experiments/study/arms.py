@@ -43,7 +43,7 @@ class Given(Protocol):
 
 class Hooks(NamedTuple):
     """What an experiment wants to know of its arms' runs: of every one that is over, and of the
-    first alone; ``piece`` and ``block`` as in `Work`.
+    first alone; ``piece``, ``block`` and ``level`` as in `Work`.
 
     Attributes:
         given: models that were trained before; None: a run's learns from what the run plays.
@@ -53,6 +53,7 @@ class Hooks(NamedTuple):
     show: Judged | None = None
     piece: int = 50
     block: int = 1
+    level: int = 3
     given: Given | None = None
 
 
@@ -71,7 +72,7 @@ def dyna_work(dyna: Dyna, config: DynaConfig, hooks: Hooks) -> Work:
 
     return Work(
         make_init(dyna, config), step, collect=hooks.given, judge=told(hooks.judge),
-        show=told(hooks.show), piece=hooks.piece, block=hooks.block,
+        show=told(hooks.show), piece=hooks.piece, block=hooks.block, level=hooks.level,
     )  # fmt: skip
 
 
