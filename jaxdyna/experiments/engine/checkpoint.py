@@ -76,10 +76,16 @@ class Store:
         folder: of their own, made if need be, but not the one above it: a run's folder that is gone
             stays gone.
         warn: is told of damage.
+        numbers: by which the runs are kept, where these are some of all.
     """
 
-    def __init__(self, folder: Path, warn: Callable[[str], None] = print):
-        self.folder, self.warn = folder, warn
+    def __init__(
+        self,
+        folder: Path,
+        warn: Callable[[str], None] = print,
+        numbers: Sequence[int] | None = None,
+    ):
+        self.folder, self.warn, self.numbers = folder, warn, numbers
         self.began, self.writing = time.perf_counter(), 0.0
         self.newest: dict[int, tuple[int, bool]] = {}
 
@@ -129,7 +135,24 @@ class Store:
                 found.append(json.loads(str(read_arrays(path, [ABOUT])[ABOUT]))["seconds"])
         return max(found)
 
+    def gathered(self, count: int) -> list[Curves]:
+        """What so many runs came to, whoever played them.
+
+        Raises:
+            InputError: where that of some is not there.
+        """
+        every = Store(self.folder, self.warn)
+        kept = [every.load(number) for number in range(count)]
+        curves = [run.metrics for run in kept if run and run.over]
+        if len(curves) < count:
+            raise InputError(
+                f"{count - len(curves)} runs are damaged or not in {self.folder}: see that all "
+                "hosts share it; the same command with --resume plays them"
+            )
+        return curves
+
     def _paths(self, number: int) -> tuple[Path, Path]:
+        number = number if self.numbers is None else self.numbers[number]
         return self.folder / f"run{number}.npz", self.folder / f"run{number}.before.npz"
 
     def _whose(self, path: Path) -> str:
