@@ -185,7 +185,7 @@ class Joined(Processes):
             return
         self.log.seek(0)
         named = {int(one or other) + 1 for one, other in LOST.findall(self.log.read())}
-        gone = named or {1 if code == -signal.SIGABRT else self.number}
+        gone = named or {self.number if code == -signal.SIGKILL else 1}
         self.lost = f"process {min(gone)} of {self.of} was lost"
         if self.number == min({*range(1, self.of + 1)} - gone, default=0):
             self.tell(self.lost)
