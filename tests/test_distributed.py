@@ -133,7 +133,7 @@ def test_the_flag_is_taken_out_of_the_command(typed, said):
 @pytest.mark.parametrize("said", ["a:1,0/2", "a:1,3/2", "a,1/2", "1/2"])
 def test_who_this_process_is_makes_sense(said):
     with ExitStack() as stack, pytest.raises(ValueError, match="give HOST:PORT,I/N"):
-        distributed.Joined(said, stack)
+        distributed.Processes().found(said, stack)
 
 
 @pytest.mark.parametrize(("count", "block", "of"), [(10, 3, 2), (2, 1, 4), (7, 2, 3)])

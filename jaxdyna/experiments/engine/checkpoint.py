@@ -80,11 +80,9 @@ class Store:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        warn: Callable[[str], None] = print,
+        self, folder: Path, warn: Callable[[str], None] = print,
         numbers: Sequence[int] | None = None,
-    ):
+    ):  # fmt: skip
         self.folder, self.warn, self.numbers = folder, warn, numbers
         self.began, self.writing = time.perf_counter(), 0.0
         self.newest: dict[int, tuple[int, bool]] = {}
@@ -128,9 +126,11 @@ class Store:
         return None
 
     def seconds(self) -> float:
-        """Seconds played up to the last checkpoint of any."""
-        found = [0.0]
-        for path in self.folder.glob("run[0-9]*.npz"):
+        """Seconds played up to the last checkpoint of any of them."""
+        found, paths = [0.0], self.folder.glob("run[0-9]*.npz")
+        if self.numbers is not None:
+            paths = (self._paths(number)[0] for number in range(len(self.numbers)))
+        for path in paths:
             with suppress(ValueError):
                 found.append(json.loads(str(read_arrays(path, [ABOUT])[ABOUT]))["seconds"])
         return max(found)
@@ -141,8 +141,7 @@ class Store:
         Raises:
             InputError: where that of some is not there.
         """
-        every = Store(self.folder, self.warn)
-        kept = [every.load(number) for number in range(count)]
+        kept = map(Store(self.folder, self.warn).load, range(count))
         curves = [run.metrics for run in kept if run and run.over]
         if len(curves) < count:
             raise InputError(

@@ -26,7 +26,7 @@ from queue import Empty, Queue
 from typing import Any
 
 import jax
-from jax._src import clusters, distributed
+from jax._src import clusters, distributed  # not public; Orbax takes its client from here, too
 
 FLAG = "--distributed"
 WHERE = re.compile(r"([^,]+:\d+),([1-9]\d*)/(\d+)")
@@ -51,7 +51,7 @@ def taken(argv: Sequence[str]) -> tuple[list[str], str | None]:
 
 
 class Processes:
-    """The processes of a run, as one of them sees them: of this class, it is the only one.
+    """The processes of a run, as one of them sees them; it is the only one until they are `found`.
 
     Attributes:
         number: this one's, from 1.
@@ -62,10 +62,13 @@ class Processes:
     """
 
     number, of, lost = 1, 1, ""
+    child: Any = None
 
     def __init__(self) -> None:
-        self.interrupted = threading.Event()
+        self.interrupted, self.ending = threading.Event(), threading.Event()
         self.tell: Callable[[str], None] = lambda _: None
+        self.replies: Queue[str] = Queue()
+        self.hushed = ExitStack()
 
     @property
     def first(self) -> bool:
@@ -76,49 +79,32 @@ class Processes:
         """Which of so many runs this one plays; they are dealt out by blocks."""
         return [row for row in range(count) if row // block % self.of == self.number - 1]
 
-    @contextmanager
-    def after_first(self) -> Iterator[None]:
-        """Meets the others, and lets the first go ahead."""
-        yield
+    def found(self, said: str, stack: ExitStack) -> None:
+        """Finds out who this one is; what others than the first say of a bad command line is
+        dropped until they meet.
 
-    def leave(self) -> None:
-        """Waits until all have come here.
+        Args:
+            said: by ``--distributed``, as `taken` gives it.
+            stack: whose end ends the child.
 
         Raises:
-            KeyboardInterrupt: where one is lost, or this one interrupted.
+            ValueError: where nothing says which processes there are.
         """
-
-
-class Joined(Processes):
-    """Several, by JAX's runtime.
-
-    Args:
-        said: by ``--distributed``, as `taken` gives it. What other processes than the first say of
-            a bad command line is dropped until they meet.
-        stack: whose end ends the child.
-
-    Raises:
-        ValueError: where nothing says which processes there are.
-    """
-
-    def __init__(self, said: str, stack: ExitStack):
-        super().__init__()
         match = WHERE.fullmatch(said)
         if said and (match is None or int(match[2]) > int(match[3])):
             raise ValueError(f"{FLAG} {said}: give HOST:PORT,I/N with I from 1 to N, or nothing")
-        given = match and (match[1], int(match[3]), int(match[2]) - 1)
-        environment = {name: value for name, value in os.environ.items()
-                       if not name.lower().endswith("_proxy")}  # fmt: skip
+        given = match and (match[1], int(match[3]), int(match[2]) - 1, ())
+        kept = {name: value for name, value in os.environ.items()
+                if not name.lower().endswith("_proxy")}  # fmt: skip
         self.log = stack.enter_context(tempfile.TemporaryFile("w+"))  # noqa: SIM115
-        child: Any = subprocess.Popen(
+        self.child = subprocess.Popen(
             [sys.executable, "-P", __file__, json.dumps(given)], text=True, start_new_session=True,
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.log,
-            env=environment | {"JAX_ENABLE_PREEMPTION_SERVICE": "0"},
+            env=kept | {"JAX_ENABLE_PREEMPTION_SERVICE": "0"},
         )  # fmt: skip
-        self.child, self.ending = child, threading.Event()
-        stack.callback(child.kill)
+        stack.callback(self.child.kill)
         stack.callback(self.ending.set)
-        self.of, number, visible = json.loads(child.stdout.readline() or "[0, 0, 0]")
+        self.of, number, visible = json.loads(self.child.stdout.readline() or "[0, 0, 0]")
         if not self.of:
             raise ValueError(f"{FLAG}: no Slurm, Kubernetes, Open MPI or TPU pod says which "
                              f"processes there are: give {FLAG} HOST:PORT,I/N")  # fmt: skip
@@ -126,10 +112,8 @@ class Joined(Processes):
         if visible:
             jax.config.update("jax_cuda_visible_devices", visible)
             jax.config.update("jax_rocm_visible_devices", visible)
-        self.hushed = stack.enter_context(ExitStack())
         if not self.first:
-            self.hushed.enter_context(redirect_stderr(StringIO()))
-        self.replies: Queue[str] = Queue()
+            stack.enter_context(self.hushed).enter_context(redirect_stderr(StringIO()))
         threading.Thread(target=self._listen, daemon=True).start()
 
     @contextmanager
@@ -151,7 +135,7 @@ class Joined(Processes):
                 "first one's host and a port that is free there"
             ) from None
         if failed:
-            self._ask("leave")
+            self.leave()
             raise SystemExit(2)
         self.hushed.close()
         try:
@@ -159,17 +143,23 @@ class Joined(Processes):
         except BaseException:
             if self.first:
                 self._ask("no")
-                self._ask("leave")
+                self.leave()
             raise
         if self.first:
             self._ask("yes")
 
     def leave(self) -> None:
+        """Waits until all have come here.
+
+        Raises:
+            KeyboardInterrupt: where one is lost, or this one interrupted.
+        """
         self._ask("leave")
         self.ending.set()
 
     def _ask(self, word: str) -> str:
-        """What the child answers."""
+        if self.child is None:
+            return ""
         with suppress(BrokenPipeError):
             print(word, file=self.child.stdin, flush=True)
         while not self.interrupted.is_set():
@@ -192,49 +182,39 @@ class Joined(Processes):
         self.interrupted.set()
 
 
-def _runtime(given: tuple[str, int, int] | None) -> None:
-    """The child: finds out which processes there are, and does what it is told until its parent
-    ends. The client that others can be told something by is not public in JAX; Orbax takes it from
-    the same place.
-    """
+def _runtime(given: tuple[str, int, int, Sequence[int]] | None) -> None:
+    """The child: says which processes there are, and answers its parent until that ends."""
     for one in (signal.SIGINT, signal.SIGTERM):  # the parent's; clusters send them to both
         signal.signal(one, signal.SIG_IGN)
     detect = clusters.ClusterEnv.auto_detect_unset_distributed_params
-    address, of, number, own = (*given, ()) if given else detect(None, None, None, None, None, 300)
+    address, of, number, own = given or detect(None, None, None, None, None, 300)
     visible = os.environ.get("JAX_LOCAL_DEVICE_IDS") or ",".join(map(str, own or ()))
     print(json.dumps((of, number, visible)), flush=True)
-    local = address and address.startswith(("127.", "localhost:"))
-
-    def join() -> None:
-        jax.distributed.initialize(
-            address, of, number, cluster_detection_method="deactivate",
-            heartbeat_timeout_seconds=HEARTBEAT_SECONDS,
-            coordinator_bind_address=address if local else None,
-        )  # fmt: skip
-
-    def leave() -> None:
-        client().wait_at_barrier("leave", PATIENCE_MS)
-        jax.distributed.shutdown()
-
-    def client() -> Any:
-        return distributed.global_state.client
-
-    answers: dict[str, Callable[[], str | None]] = {
-        "join": join,
-        "yes": lambda: client().key_value_set("ready", "yes"),
-        "no": lambda: client().key_value_set("ready", "no"),
-        "ready": lambda: client().blocking_key_value_get("ready", PATIENCE_MS),
-        "leave": leave,
-    }
 
     def answer(word: str) -> None:
+        client: Any = distributed.global_state.client
+        reply = "done"
         try:
-            print(answers[word]() or "done", flush=True)
+            if word == "join":
+                local = address and address.startswith(("127.", "localhost:"))
+                jax.distributed.initialize(
+                    address, of, number, cluster_detection_method="deactivate",
+                    heartbeat_timeout_seconds=HEARTBEAT_SECONDS,
+                    coordinator_bind_address=address if local else None,
+                )  # fmt: skip
+            elif word == "ready":
+                reply = client.blocking_key_value_get("ready", PATIENCE_MS)
+            elif word == "leave":
+                client.wait_at_barrier("leave", PATIENCE_MS)
+                jax.distributed.shutdown()
+            else:
+                client.key_value_set("ready", word)
+            print(reply, flush=True)
         except BaseException:
             traceback.print_exc()
             os._exit(1)
 
-    for line in sys.stdin:
+    for line in sys.stdin:  # in threads: its end, the parent's, is seen at any time
         threading.Thread(target=answer, args=(line.strip(),), daemon=True).start()
     os._exit(0)
 

@@ -26,7 +26,7 @@ from rich.markdown import Markdown
 from jaxdyna import fields
 from jaxdyna.experiments.engine import cli, folders, programs, storage, work
 from jaxdyna.experiments.engine.checkpoint import Store, checkpoints_below
-from jaxdyna.experiments.engine.distributed import Joined, Processes, taken
+from jaxdyna.experiments.engine.distributed import Processes, taken
 from jaxdyna.experiments.engine.experiment import Entry, Experiment, Record, Study, chosen, entries
 from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.record import different, read_back, results_of, write_report
@@ -62,9 +62,11 @@ def main(
         argv = sys.argv[1:]
     argv, said = taken(argv)
     prog = prog or _prog()
+    processes = Processes()
     with ExitStack() as stack:
         try:
-            processes = Processes() if said is None else Joined(said, stack)
+            if said is not None:
+                processes.found(said, stack)
             session = replace(prepared(parts, argv, prog), processes=processes)
             session.begin(stack)
         except SettingError as error:
@@ -211,10 +213,8 @@ class Session:
             self._take_folder(stack)
 
     def _take_folder(self, stack: ExitStack) -> None:
-        first, whose = (
-            self.processes.first,
-            {"experiment": self.family, "part": self.experiment.name},
-        )
+        first = self.processes.first
+        whose = {"experiment": self.family, "part": self.experiment.name}
         if first and self.resume and not self.out.is_dir():
             raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
         if not first and not (self.checkpoints / "settings.json").is_file():
@@ -420,7 +420,8 @@ class Session:
                 "run of both would be neither; go on with what it was begun with, or begin anew "
                 "with --fresh"
             )
-        self.earlier_s = sum(store.seconds() for store in stores)
+        if self.processes.first:  # which tells how long all took
+            self.earlier_s = sum(store.seconds() for store in stores)
         if not finished or different(finished["config"], now["config"]):
             return
         self.earlier = results
