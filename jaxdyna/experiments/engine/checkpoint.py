@@ -76,10 +76,14 @@ class Store:
         folder: of their own, made if need be, but not the one above it: a run's folder that is gone
             stays gone.
         warn: is told of damage.
+        numbers: by which the runs are kept, where these are some of all.
     """
 
-    def __init__(self, folder: Path, warn: Callable[[str], None] = print):
-        self.folder, self.warn = folder, warn
+    def __init__(
+        self, folder: Path, warn: Callable[[str], None] = print,
+        numbers: Sequence[int] | None = None,
+    ):  # fmt: skip
+        self.folder, self.warn, self.numbers = folder, warn, numbers
         self.began, self.writing = time.perf_counter(), 0.0
         self.newest: dict[int, tuple[int, bool]] = {}
 
@@ -122,14 +126,32 @@ class Store:
         return None
 
     def seconds(self) -> float:
-        """Seconds played up to the last checkpoint of any."""
-        found = [0.0]
-        for path in self.folder.glob("run[0-9]*.npz"):
+        """Seconds played up to the last checkpoint of any of them."""
+        found, paths = [0.0], self.folder.glob("run[0-9]*.npz")
+        if self.numbers is not None:
+            paths = (self._paths(number)[0] for number in range(len(self.numbers)))
+        for path in paths:
             with suppress(ValueError):
                 found.append(json.loads(str(read_arrays(path, [ABOUT])[ABOUT]))["seconds"])
         return max(found)
 
+    def gathered(self, count: int) -> list[Curves]:
+        """What so many runs came to, whoever played them.
+
+        Raises:
+            InputError: where that of some is not there.
+        """
+        kept = map(Store(self.folder, self.warn).load, range(count))
+        curves = [run.metrics for run in kept if run and run.over]
+        if len(curves) < count:
+            raise InputError(
+                f"{count - len(curves)} runs are damaged or not in {self.folder}: see that all "
+                "hosts share it; the same command with --resume plays them"
+            )
+        return curves
+
     def _paths(self, number: int) -> tuple[Path, Path]:
+        number = number if self.numbers is None else self.numbers[number]
         return self.folder / f"run{number}.npz", self.folder / f"run{number}.before.npz"
 
     def _whose(self, path: Path) -> str:

@@ -21,7 +21,7 @@ from jaxdyna.fields import Leaf, SettingError, setting
 O = TypeVar("O")  # noqa: E741
 NOT_SWEPT = (
     "seeds", "seed", "arms", "out", "episodes", "stop_after_solved", "block", "preset", "quick",
-    "part", "resume", "fresh", "shard", "sweep", "from", "cache",
+    "part", "resume", "fresh", "shard", "sweep", "from", "cache", "distributed",
 )  # fmt: skip
 
 
@@ -48,6 +48,11 @@ class Call:
     )
     shard: str | None = setting(
         None, "I/N: the I-th of N equal parts of the runs; `merge` puts them together"
+    )
+    distributed: str | None = setting(
+        None,
+        "one of several processes that share the runs and the folder, as Slurm, Kubernetes, Open "
+        "MPI or a TPU pod says; HOST:PORT,I/N: the I-th of N, the first at that address",
     )
 
     @property

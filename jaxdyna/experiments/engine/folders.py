@@ -23,32 +23,39 @@ MOVING = ".moving"
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """The folder, made where there is none, for this process alone; the system lets go of the lock
-    however the process ends.
+def held(folder: Path, alone: bool = True) -> Iterator[Any]:
+    """The folder, made where there is none, for this process alone, or with others of its run, once
+    the first of them may `share` the lock; the system lets go of it however the process ends.
 
     Raises:
         ValueError: where it cannot be written to, or another run works in it.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        file = _locked(folder)
+        file = _locked(folder, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
     except OSError as error:
         raise ValueError(
             f"cannot write to --out {folder} ({error.strerror}): choose another folder"
         ) from None
     try:
-        yield
+        yield file
     finally:
-        (folder / LOCK).unlink(missing_ok=True)
+        with suppress(BlockingIOError):  # others of its run still hold it
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            (folder / LOCK).unlink(missing_ok=True)
         file.close()
 
 
-def _locked(folder: Path) -> Any:
+def share(lock: Any) -> None:
+    """Lets other processes of a run hold its folder, too, but no other run."""
+    fcntl.flock(lock, fcntl.LOCK_SH)
+
+
+def _locked(folder: Path, how: int) -> Any:
     while True:
         file = (folder / LOCK).open("a+")
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, how | fcntl.LOCK_NB)
         except BlockingIOError:
             file.seek(0)
             holder = file.read().strip() or "another process"
@@ -60,6 +67,8 @@ def _locked(folder: Path) -> Any:
         if path.exists() and path.stat().st_ino == os.fstat(file.fileno()).st_ino:
             break
         file.close()  # its holder removed it in between
+    if how == fcntl.LOCK_SH:
+        return file
     file.truncate(0)
     file.write(f"process {os.getpid()} on {socket.gethostname()}")
     file.flush()

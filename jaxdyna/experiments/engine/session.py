@@ -26,6 +26,7 @@ from rich.markdown import Markdown
 from jaxdyna import fields
 from jaxdyna.experiments.engine import cli, folders, programs, storage, work
 from jaxdyna.experiments.engine.checkpoint import Store, checkpoints_below
+from jaxdyna.experiments.engine.distributed import Processes, taken
 from jaxdyna.experiments.engine.experiment import Entry, Experiment, Record, Study, chosen, entries
 from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.record import different, read_back, results_of, write_report
@@ -50,7 +51,7 @@ def main(
         prog: the command as the user types it.
 
     Returns:
-        The exit code: 0, 130 after Ctrl-C.
+        The exit code: 0, 130 after Ctrl-C, 1 where another process of the run was lost.
 
     Raises:
         SystemExit: with code 2 and one line on bad input, with 0 after ``--help``.
@@ -59,11 +60,14 @@ def main(
     if argv is None:  # a process of its own: tracing need not search what was imported for garbage
         gc.freeze()
         argv = sys.argv[1:]
-    argv = list(argv)
+    argv, said = taken(argv)
     prog = prog or _prog()
+    processes = Processes()
     with ExitStack() as stack:
         try:
-            session = prepared(parts, argv, prog)
+            if said is not None:
+                processes.found(said, stack)
+            session = replace(prepared(parts, argv, prog), processes=processes)
             session.begin(stack)
         except SettingError as error:
             cli.fail(f"{cli.flag_of(error, argv)} {error.said}", prog)
@@ -166,6 +170,7 @@ class Session:
         sweep: values by dotted path.
         family: the name of the experiment whose part this is.
         cache: whether compiled programs are kept for later.
+        processes: that share the work.
     """
 
     experiment: Experiment
@@ -179,6 +184,7 @@ class Session:
     sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     family: str = ""
     cache: bool = True
+    processes: Processes = field(default_factory=Processes)
     console: Console = field(
         default_factory=lambda: Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     )
@@ -203,40 +209,55 @@ class Session:
             raise ValueError("--shard has more parts than there are --seeds: give fewer")
         self.entries = chosen(self.every, self.options.arms)
         self.arms = {entry.name: entry.make() for entry in self.entries}
-        if self.resume and not self.out.is_dir():
-            raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
-        stack.enter_context(folders.held(self.out))
+        with self.processes.after_first():
+            self._take_folder(stack)
+
+    def _take_folder(self, stack: ExitStack) -> None:
+        first = self.processes.first
         whose = {"experiment": self.family, "part": self.experiment.name}
-        if self.resume:
+        if first and self.resume and not self.out.is_dir():
+            raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
+        if not first and not (self.checkpoints / "settings.json").is_file():
+            raise ValueError(
+                f"process {self.processes.number} does not see --out {self.out} as the first made "
+                "it: choose a folder that all hosts share"
+            )
+        lock = stack.enter_context(folders.held(self.out, alone=first))
+        if self.resume or not first:
             self._take_up(whose)
         else:
             folders.claim(self.out, whose, self.fresh)
-        self.checkpoints.mkdir(exist_ok=True)
-        storage.write_json(self.checkpoints / "settings.json", self.identity() | self.made)
+        if first:
+            self.checkpoints.mkdir(exist_ok=True)
+            storage.write_json(self.checkpoints / "settings.json", self.identity() | self.made)
+            if self.processes.of > 1:
+                folders.share(lock)
 
     def run(self) -> int:
-        """Plays and reports; returns the exit code: 0, 130 after Ctrl-C.
+        """Plays and reports; returns the exit code, as `main`.
 
         Raises:
             InputError: where something in mid-run is the user's to mend.
         """
-        code, engine = 0, work.Engine()
+        code, first = 0, self.processes.first
+        engine = work.Engine(interrupted=self.processes.interrupted)
+        self.processes.tell = self._stopped
         try:
             with _deferred_interrupt(engine):
-                self._measure()
+                if first:
+                    self._measure()
                 self._play(engine, self.arms)
-            folders.clear(self.checkpoints)
+            if first:
+                folders.clear(self.checkpoints)
         except jax.errors.JaxRuntimeError as error:
             if "RESOURCE_EXHAUSTED" not in str(error):
                 raise
             raise InputError("out of memory: lower --block, --seeds or --episodes") from None
         except KeyboardInterrupt:
-            code = 130
-            self.console.print(
-                f"Interrupted. What is finished is in {self.out}; "
-                "the same command with --resume goes on."
-            )
-        if self.curves or self.measured:
+            code = 1 if self.processes.lost else 130
+            if first and not self.processes.lost:
+                self._stopped("Interrupted")
+        if first and (self.curves or self.measured):
             try:
                 self._report()
             except KeyboardInterrupt:
@@ -245,6 +266,11 @@ class Session:
             except OSError as error:
                 raise storage.unwritten(self.out, error) from None
         return code
+
+    def _stopped(self, why: str) -> None:
+        self.console.print(
+            f"{why}. What is finished is in {self.out}; the same command with --resume goes on."
+        )
 
     @property
     def checkpoints(self) -> Path:
@@ -259,7 +285,7 @@ class Session:
 
     def _play(self, engine: work.Engine, arms: Mapping[str, work.Arm]) -> None:
         """Plays the entries that are not finished: those of one arm that are one work together, as
-        one axis of runs.
+        one axis of runs, which several processes share.
         """
         together: dict[Any, list[Entry]] = {}
         for entry in self.entries:
@@ -269,16 +295,20 @@ class Session:
                 together.setdefault((entry.arm, program), []).append(entry)
         counts = Counter(arm for arm, _ in together)
         groups = {_group_name(group, counts): group for group in together.values()}
-        totals = {
-            name: (max(arms[entry.name].units for entry in group), len(group) * len(self.seeds))
-            for name, group in groups.items()
-        }
-        works, names = {}, [*groups]
+        works, stores, totals = {}, {}, {}
         for name, group in groups.items():
             played = [arms[entry.name] for entry in group]
-            works[name] = played[0].work, work.runs_of(played, self.seeds, self.options.seed)
+            runs = work.runs_of(played, self.seeds, self.options.seed)
+            rows = self.processes.rows(len(runs.seed), played[0].work.block)
+            folder = self.checkpoints / _identifier(group, runs)
+            if rows:
+                works[name] = played[0].work, runs.only(rows)
+                stores[name] = Store(folder, self.console.print, rows)
+                totals[name] = int(works[name][1].units.max()), len(rows)
+        names = [*works]
         at_once = min(storage.cores(), COMPILED)
-        with Bars(self.console, totals) as bars:
+        console = self.console if self.processes.first else Console(quiet=True)
+        with Bars(console, totals) as bars:
             for ahead in (names[at : at + at_once] for at in range(0, len(names), at_once)):
                 for name in ahead:
                     bars.tell(name, "compiling", 0, 0)
@@ -286,23 +316,28 @@ class Session:
                 for name in ahead:
                     bars.tell(name, "waiting", 0, 0)
                 for name in ahead:
-                    tell = partial(bars.tell, name)
-                    self._play_group(engine, name, groups[name], *works[name], tell)
+                    done = engine.play(
+                        *works[name], self._over(), stores[name], partial(bars.tell, name)
+                    )
+                    length = max(
+                        (len(run.get("real_return", ())) for run in done.curves), default=0
+                    )
+                    bars.tell(name, "done", length or totals[name][0], len(done.curves))
+                    self.timing[name] = done.seconds._asdict()
+                    self.share()
+                    if self.processes.of == 1:
+                        self._keep(groups[name], done.curves)
+        self.processes.leave()
+        if self.processes.of > 1 and self.processes.first:
+            for name, group in groups.items():
+                self._keep(group, stores[name].gathered(len(group) * len(self.seeds)))
 
-    def _play_group(
-        self, engine: work.Engine, name: str, group: Sequence[Entry], played: work.Work,
-        runs: work.Runs, tell: work.Progress,
-    ) -> None:  # fmt: skip
-        store = Store(self.checkpoints / _identifier(group, runs), self.console.print)
-        done = engine.play(played, runs, self._over(), store, tell)
-        length = max((len(run.get("real_return", ())) for run in done.curves), default=0)
-        tell("done", length or int(runs.units.max()), len(done.curves))
+    def _keep(self, group: Sequence[Entry], curves: Sequence[work.Curves]) -> None:
+        """Takes up and writes what has been played of entries, run by run."""
         each = len(self.seeds)
         for number, entry in enumerate(group):
             rows = slice(number * each, (number + 1) * each)
-            self.curves[entry.name] = work.joined(done.curves[rows])
-        self.timing[name] = done.seconds._asdict()
-        self.share()
+            self.curves[entry.name] = work.joined(curves[rows])
         self._write()
 
     def _over(self) -> work.Over | None:
@@ -379,13 +414,14 @@ class Session:
             Store(folder)
             for folder in {path.parent for path in checkpoints_below(self.checkpoints)}
         ]
-        if stores and begun_with != self.made:
+        if (stores or not self.processes.first) and begun_with != self.made:
             raise ValueError(
                 f"the run in {self.out} was begun with {storage.changes(begun_with, self.made)}: a "
                 "run of both would be neither; go on with what it was begun with, or begin anew "
                 "with --fresh"
             )
-        self.earlier_s = sum(store.seconds() for store in stores)
+        if self.processes.first:  # which tells how long all took
+            self.earlier_s = sum(store.seconds() for store in stores)
         if not finished or different(finished["config"], now["config"]):
             return
         self.earlier = results
@@ -408,6 +444,8 @@ class Session:
         names = [name for name in (*ordered, *self.curves) if name in self.curves]
         self.curves = {name: self.curves[name] for name in dict.fromkeys(names)}
         timing = {"arms": self.timing, "total_s": self.earlier_s + time.perf_counter() - self.began}
+        if self.processes.of > 1:
+            timing["shards"] = self.processes.of
         made, others = storage.provenance(self.made, self.earlier), self.others
         if self.earlier and self.curves.keys() <= self.earlier["arms"].keys():
             made = {name: self.earlier.get(name) for name in made}  # drawn anew, not played

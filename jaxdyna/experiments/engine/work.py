@@ -107,6 +107,13 @@ class Runs(NamedTuple):
         """The runs' keys."""
         return _keys(jax.random.key(self.base), self.seed)
 
+    def only(self, rows: Sequence[int]) -> Runs:
+        """Some of them."""
+        seed, hparams, units = jax.tree.map(
+            lambda leaf: leaf[np.array(rows)], (self.seed, self.hparams, self.units)
+        )
+        return Runs(seed, self.base, hparams, units)
+
     @property
     def judging(self) -> Key:
         """The keys of what is judged of them."""
