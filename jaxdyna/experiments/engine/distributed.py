@@ -26,7 +26,6 @@ from queue import Empty, Queue
 from typing import Any
 
 import jax
-from jax._src import clusters, distributed  # not public; Orbax takes its client from here, too
 
 FLAG = "--distributed"
 WHERE = re.compile(r"([^,]+:\d+),([1-9]\d*)/(\d+)")
@@ -184,6 +183,8 @@ class Processes:
 
 def _runtime(given: tuple[str, int, int, Sequence[int]] | None) -> None:
     """The child: says which processes there are, and answers its parent until that ends."""
+    from jax._src import clusters, distributed  # noqa: PLC0415  (not public; Orbax uses it too)
+
     for one in (signal.SIGINT, signal.SIGTERM):  # the parent's; clusters send them to both
         signal.signal(one, signal.SIG_IGN)
     detect = clusters.ClusterEnv.auto_detect_unset_distributed_params
