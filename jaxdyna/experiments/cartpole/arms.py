@@ -62,9 +62,9 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
     """What makes each arm; ``judged``: and judges its model in the end."""
     dyna, config, hparams = parts(options), options.dyna, options.hparams
     dream: Any = dyna.dream
-    hooks = study.Hooks(
-        *((model.judge, model.show) if judged else ()), piece=25, block=options.block, level=2
-    )  # at level 2 it runs as fast
+    hooks = study.Hooks(model.judge, model.show, piece=25, block=options.block, level=2)
+    if not judged:
+        hooks = hooks._replace(judge=None, show=None)
     made = study.standard_arms(
         dyna, config, hparams, dyna._replace(**TRUTH), hooks,
         untrained={"termination_threshold": 1.0},

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -306,13 +307,10 @@ class _Program:
         afford(held(state, data), work.block, at_once, place)  # before it compiles for minutes
         number = self.put(jax.ShapeDtypeStruct((), jnp.int32))
         piece_of = jax.jit(piece, donate_argnums=0).lower(state, data, number, number, hparams)
-        row = jax.jit(lambda tree, row: jax.tree.map(lambda leaf: leaf[row], tree))
-        whole = state, data, hparams
-        own = self.put(jax.eval_shape(row, whole, number))
-        key = self.put(runs.judging[0])
-        seldom = {"start": start, "data": making, "row": row.lower(whole, number)}
+        seldom = {"start": start, "data": making}
         for name, judge in (("judge", work.judge), ("show", work.show)):
-            seldom[name] = judge and jax.jit(judge).lower(*own[:2], key, own[2])
+            told = self.put(runs.judging[0]), number, (state, data, hparams)
+            seldom[name] = judge and jax.jit(partial(_of_one, judge)).lower(*told)
         self.lowered = {name: (one, _optimised(1, place)) for name, one in seldom.items() if one}
         self.lowered["piece"] = piece_of, _optimised(work.level, place)
 
@@ -343,6 +341,12 @@ def _optimised(level: int, place: jax.Device) -> dict[str, Any]:
     option = "xla_backend_optimization_level"
     told = option in os.environ.get("XLA_FLAGS", "")
     return {} if told or level == 3 or place.platform != "cpu" else {option: level}
+
+
+def _of_one(judge: Callable, key: Key, lane: jax.Array, held: tuple[Any, Any, Any]) -> Any:
+    """What is judged of one run of a block, of which no more is copied than is looked at."""
+    state, data, hparams = jax.tree.map(itemgetter(lane), held)
+    return judge(state, data, key, hparams)
 
 
 def _shaped(block: int, tree: Any) -> Any:
@@ -578,13 +582,10 @@ class _Block:
             name for name, wants in (("judge", True), ("show", first and not broken.any()))
             if wants and name in calls
         ]  # fmt: skip
-        if not wanted:
-            return curves
-        own, own_data, hparams = calls["row"]((self.state, self.data, self.hparams), np.int32(lane))
-        key = self.pool.judging[row]
+        key, held = self.pool.judging[row], (self.state, self.data, self.hparams)
         for name in wanted:
-            part = self._put(jax.random.fold_in(key, int(name == "show")))
-            judged = calls[name](own, own_data, part, hparams)
+            told = self._put((jax.random.fold_in(key, int(name == "show")), np.int32(lane)))
+            judged = calls[name](*told, held)
             prefix = SHOWN if name == "show" else ""
             found = {f"{prefix}{name}": _said(values) for name, values in judged.items()}
             if broken.any():  # whatever a broken run does is no result
