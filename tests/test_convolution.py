@@ -42,6 +42,23 @@ def test_gradients_agree_with_autodiff(size, padding, channels):
         np.testing.assert_allclose(mine, theirs, rtol=2e-4, atol=2e-5)
 
 
+def test_a_gpu_runs_the_library_s_own(monkeypatch):
+    """Nothing of what is written for a CPU is traced elsewhere."""
+
+    def traced():
+        one = jnp.ones((2, 6, 6, 3)), jnp.ones((3, 3, 3, 2)), jnp.ones((4, 3)), jnp.ones((3, 2))
+
+        def loss(x, kernel, rows, weights):
+            return convolve(x, kernel, 0).sum() + layers._dense(rows, weights).sum()
+
+        return str(jax.make_jaxpr(jax.grad(loss, (0, 1, 2, 3)))(*one))
+
+    here = traced()
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert here.count("conv_general_dilated[") == 1 and traced().count("conv_general_dilated[") == 3
+    assert "optimization_barrier" in here and "optimization_barrier" not in traced()
+
+
 def test_a_batch_inside_vmap_is_the_batch():
     x = jax.random.normal(jax.random.key(0), (6, 7, 7, 3))
     kernel = jax.random.normal(jax.random.key(1), (3, 3, 3, 2))

@@ -6,7 +6,7 @@ that by the weights is made of matrix products. A convolution that grows the pic
 one) is a matrix product too, whose results are spread over the larger picture: there is no
 multiplying by the zeros around it, and few output channels cost little. One that shrinks it and
 has far more channels coming in than going out is the same the other way round: the few are moved
-about, not the many.
+about, not the many. On a GPU XLA's own convolutions and gradients are used.
 """
 
 from functools import partial
@@ -20,9 +20,18 @@ def _forward(x: jax.Array, kernel: jax.Array, padding: int) -> jax.Array:
         return _spread(x, kernel)
     if padding == 0 and _narrows(x, kernel):
         return _gather(x, kernel)
+    return _plain(x, kernel, padding)
+
+
+def _plain(x: jax.Array, kernel: jax.Array, padding: int) -> jax.Array:
     return jax.lax.conv_general_dilated(
         x, kernel, (1, 1), [(padding, padding)] * 2, dimension_numbers=("NHWC", "HWIO", "NHWC")
     )
+
+
+def on_cpu() -> bool:
+    """Whether the default backend is one: what is put on another device is right, but slow."""
+    return jax.default_backend() == "cpu"
 
 
 def _spread(x: jax.Array, kernel: jax.Array) -> jax.Array:
@@ -67,7 +76,6 @@ def _gather(x: jax.Array, kernel: jax.Array) -> jax.Array:
     return jnp.asarray(seen)
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(2,))
 def convolve(x: jax.Array, kernel: jax.Array, padding: int) -> jax.Array:
     """A two-dimensional convolution of stride 1 (a cross-correlation, as everywhere in learning).
 
@@ -82,6 +90,11 @@ def convolve(x: jax.Array, kernel: jax.Array, padding: int) -> jax.Array:
     """
     if not 0 <= padding < kernel.shape[0]:
         raise ValueError(f"padding is {padding}: give 0 to {kernel.shape[0] - 1}")
+    return (_convolve if on_cpu() else _plain)(x, kernel, padding)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(2,))
+def _convolve(x: jax.Array, kernel: jax.Array, padding: int) -> jax.Array:
     return _forward(x, kernel, padding)
 
 
@@ -137,15 +150,14 @@ def _windows(x: jax.Array, size: int, shape: tuple[int, ...]) -> jax.Array:
     return jnp.concatenate(_cells(x, size, shape), axis=-1)
 
 
-convolve.defvjp(_with_residuals, _gradients)
+_convolve.defvjp(_with_residuals, _gradients)
 
 
 def channel_axis() -> int:
     """Where pictures have their channels between layers that need no other order: in front, the
-    batch last, ``[C, H, W, N]``, on a CPU; at the end, ``[N, H, W, C]``, elsewhere. Of the default
-    backend: right, but slow, for what is then put on another device.
+    batch last, ``[C, H, W, N]``, on a CPU; at the end, ``[N, H, W, C]``, elsewhere.
     """
-    return 0 if jax.default_backend() == "cpu" else 3
+    return 0 if on_cpu() else 3
 
 
 @jax.custom_vjp

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 
 from jaxdyna.fields import check_counts, check_shape
-from jaxdyna.networks.convolution import channel_axis, convolve, correlate
+from jaxdyna.networks.convolution import channel_axis, convolve, correlate, on_cpu
 
 
 class Sized(nn.Module):
@@ -47,7 +47,8 @@ product.defvjp(lambda x, kernel: (product(x, kernel), (x, kernel)), _gradients)
 
 
 def _dense(x: jax.Array, kernel: jax.Array, *_: Any, **__: Any) -> jax.Array:
-    return product(x, kernel) if x.ndim > 1 else x @ kernel  # rows of a vmapped batch: JAX's own
+    batch = x.ndim > 1 and on_cpu()  # rows of a vmapped batch: JAX's own
+    return product(x, kernel) if batch else x @ kernel
 
 
 class MLP(Sized):
