@@ -25,6 +25,7 @@ import numpy as np
 from jaxdyna.experiments.engine.checkpoint import Kept, Store, stacked
 from jaxdyna.experiments.engine.memory import afford, held, spare, used_by
 from jaxdyna.experiments.engine.storage import cores
+from jaxdyna.experiments.engine.trained import Keeper, Trained
 from jaxdyna.sweep import over_runs
 from jaxdyna.trees import named_leaves, stack
 from jaxdyna.types import Key
@@ -42,6 +43,8 @@ rest of its curves is NaN.
 JUDGING = 2**32 - 1
 """Folded into the base seed's key: the runs' own keys are its first splits."""
 
+HOOKS = ("judge", "show", "keep")
+"""Of runs that are over; which of them it is, is folded into the key of a run's judging."""
 BEGUN = 8
 """Blocks a worker that are begun at most, so that their runs can be packed together."""
 
@@ -65,6 +68,8 @@ class Work(NamedTuple):
         block: runs computed together.
         level: to which XLA optimises its units on a CPU: 2 compiles in two thirds of the time, 3
             may run faster.
+        trained: ``(state, hparams) -> what a run has learned``, of which the first runs' is kept;
+            None: nothing is.
     """
 
     init: Callable[[Key, Any], Any]
@@ -76,6 +81,7 @@ class Work(NamedTuple):
     piece: int = 50
     block: int = 1
     level: int = 3
+    trained: Callable[[Any, Any], Trained] | None = None
 
 
 class Arm(NamedTuple):
@@ -179,12 +185,14 @@ class Engine:
 
     Attributes:
         workers: blocks that are played at a time; by default one a core, or one a device.
+        keep: of how many runs of each arm, the first ones, it is kept what they have learned.
         programs: that were compiled.
         prepared: the seconds that it took ahead of time.
         interrupted: set by Ctrl-C: every block is saved after its piece, then `Interrupted` raised.
     """
 
     workers: int = 0
+    keep: int = 0
     interrupted: threading.Event = field(default_factory=threading.Event)
     programs: dict[Any, _Program] = field(default_factory=dict)
     prepared: dict[Work, float] = field(default_factory=dict)
@@ -217,7 +225,9 @@ class Engine:
         programs = {place: self.programs[_known(work, runs, place)] for place in where}
         compile_s = time.perf_counter() - began + self.prepared.pop(work, 0.0)
         tally = _Tally(say, count, store.seconds() if store else 0.0)
-        pool = _Pool(runs, collected, over, store, tally, programs, where, self.interrupted)
+        pool = _Pool(
+            runs, collected, over, store, tally, programs, where, self.interrupted, self.keep
+        )
         with ThreadPoolExecutor(len(where)) as threads:
             workers = [threads.submit(pool.serve, place) for place in where]
         for worker in workers:
@@ -326,7 +336,9 @@ class _Program:
             made = pool.map(
                 lambda one: one[0].compile(compiler_options=one[1]), self.lowered.values()
             )
-            self.calls = dict(zip(self.lowered, made, strict=True))
+            self.calls: dict[str, Any] = dict(zip(self.lowered, made, strict=True))
+        if self.work.trained:
+            self.calls["keep"] = Keeper(self.work.init, self.work.trained)
         self.lowered = {}
         afford(used_by(self.calls["piece"]), self.work.block, self.at_once, self.place)
 
@@ -385,6 +397,7 @@ class _Pool:
     programs: Mapping[jax.Device, _Program]
     where: Sequence[jax.Device]
     interrupted: threading.Event
+    keep: int
 
     def __post_init__(self) -> None:
         self.lock, self.failed = threading.Lock(), threading.Event()
@@ -573,21 +586,20 @@ class _Block:
             for name, values in self.pieces.items()
             if first or not name.startswith(SHOWN)
         }
-        calls = self.program.calls
-        wanted = [
-            name for name, wants in (("judge", True), ("show", first and not broken.any()))
-            if wants and name in calls
-        ]  # fmt: skip
+        calls, whole = self.program.calls, not broken.any()
+        kept = whole and self.pool.runs.seed[row] < self.pool.keep
+        asked = {"judge": True, "show": first and whole, "keep": kept}
+        wanted = [name for name in HOOKS if asked[name] and name in calls]
         if not wanted:
             return curves
         own, own_data, hparams = calls["row"]((self.state, self.data, self.hparams), np.int32(lane))
         key = self.pool.judging[row]
         for name in wanted:
-            part = self._put(jax.random.fold_in(key, int(name == "show")))
+            part = self._put(jax.random.fold_in(key, HOOKS.index(name)))
             judged = calls[name](own, own_data, part, hparams)
             prefix = SHOWN if name == "show" else ""
             found = {f"{prefix}{name}": _said(values) for name, values in judged.items()}
-            if broken.any():  # whatever a broken run does is no result
+            if not whole:  # whatever a broken run does is no result
                 found = {name: np.full(values.shape, np.nan, np.float32)
                          for name, values in found.items()}  # fmt: skip
             curves |= found
@@ -625,12 +637,13 @@ class _Tally:
 
 def joined(curves: Sequence[Curves]) -> Curves:
     """Arrays ``[runs, ...]`` of several runs, each filled up with NaN after its own end; what is
-    shown is the first's that has it.
+    shown is the first's that has it; a number that a run has not is NaN.
     """
     arrays: Curves = {}
     for name in dict.fromkeys(name for run in curves for name in run):
-        values = [np.asarray(run[name]) for run in curves if name in run]
-        arrays[name] = values[0] if name.startswith(SHOWN) else _filled(values)
+        shown = name.startswith(SHOWN)
+        values = [run.get(name, np.nan) for run in curves if name in run or not shown]
+        arrays[name] = np.asarray(values[0]) if shown else _filled([*map(np.asarray, values)])
     return arrays
 
 
