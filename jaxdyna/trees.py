@@ -1,6 +1,6 @@
 """Pytrees of arrays and keys: by the names of their leaves, and in one another's types."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -18,10 +18,45 @@ def raw(leaf: Any) -> Any:
     return jax.random.key_data(leaf) if is_key(leaf) else leaf
 
 
-def named_leaves(tree: Any) -> dict[str, np.ndarray]:
-    """Every leaf under its path, such as ``.params['w']``, on the host; of a key its data."""
+def named(tree: Any) -> dict[str, Any]:
+    """Every leaf under its path, such as ``.params['w']``; of a key its data."""
     leaves = jax.tree.leaves_with_path(tree)
-    return {jax.tree_util.keystr(path): np.asarray(raw(leaf)) for path, leaf in leaves}
+    return {jax.tree_util.keystr(path): raw(leaf) for path, leaf in leaves}
+
+
+def named_leaves(tree: Any) -> dict[str, np.ndarray]:
+    """`named`, on the host."""
+    return {name: np.asarray(leaf) for name, leaf in named(tree).items()}
+
+
+def unnamed(leaves: Mapping[str, Any], like: Any) -> Any:
+    """The tree of `named` leaves, of the structure of ``like``. A leaf that is not among them is
+    all zeros, which take no memory.
+    """
+
+    def leaf(path: Any, example: Any) -> Any:
+        found, key = leaves.get(jax.tree_util.keystr(path)), is_key(example)
+        if found is not None:
+            return jax.random.wrap_key_data(found) if key else found
+        zero = jax.random.key(0) if key else np.zeros((), example.dtype)
+        return (jnp if key else np).broadcast_to(zero, example.shape)
+
+    return jax.tree.map_with_path(leaf, like)
+
+
+def unlike(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """In which of `named` leaves two trees differ first by shape or type, in words; nothing where
+    in none.
+    """
+    for name in (*now, *then):
+        was, is_ = (_sort(tree[name]) if name in tree else "not there" for tree in (then, now))
+        if was != is_:
+            return f"{name} was {was} and is {is_}"
+    return ""
+
+
+def _sort(array: Any) -> str:
+    return f"{array.dtype}{list(array.shape)}"
 
 
 def finite(tree: Any) -> jax.Array:

@@ -28,7 +28,7 @@ STOREYS = {
     "engine": 1,
     **dict.fromkeys(["study", "frames"], 2),
     **dict.fromkeys(["cartpole", "maze", "pong", "catch"], 3),
-    **dict.fromkeys(["planning", "benchmark", "merge", "record"], 4),
+    **dict.fromkeys(["planning", "benchmark", "merge", "record", "evaluate"], 4),
 }
 """The reports below the engine: it writes them, they read its records as they come."""
 

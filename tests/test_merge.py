@@ -66,6 +66,10 @@ def test_shards_put_together_are_the_whole(shards, whole, turned, tmp_path):
     assert ours["timing"]["shards"] == 2
     for seconds in ("compile_s", "run_s"):
         assert ours["timing"][seconds] == pytest.approx(sum(one[seconds] for one in parts))
+    policies = sorted(path.relative_to(whole) for path in whole.glob("kept/*/*.npz"))
+    assert [path.stem for path in policies] == ["0", "1", "2", "3"]
+    for path in policies:
+        assert (out / path).read_bytes() == (whole / path).read_bytes()
     images = {path.name for path in whole.glob("*.png")}
     assert images and images == {path.name for path in out.glob("*.png")}
     assert (out / "report.md").read_text().startswith("# Pole\n")
@@ -132,10 +136,10 @@ def test_folders_are_refused_by_name(shards, tmp_path, capsys):
     (begun / "checkpoints").mkdir()
     refused([shards[0], begun], f"{begun} is not finished", tmp_path, capsys)
     unknown = [
-        edited(folder, tmp_path / folder.name, command="python -m jaxdyna.experiments.catchy")
+        edited(folder, tmp_path / folder.name, module="jaxdyna.experiments.catchy")
         for folder in shards
     ]
-    refused(unknown, "there is no such experiment", tmp_path, capsys)
+    refused(unknown, "the module jaxdyna.experiments.catchy, which cannot", tmp_path, capsys)
     refused([*shards, "--block", "2"], "--block", tmp_path, capsys)
     with pytest.raises(SystemExit):
         merged(*shards, "--out", shards[0])

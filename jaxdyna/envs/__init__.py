@@ -8,12 +8,12 @@ from jaxdyna.envs.maze import Maze, MazeParams, MazeState
 from jaxdyna.envs.pong import Pong
 from jaxdyna.envs.pong_rules import PongParams, PongState
 from jaxdyna.envs.pong_screen import CHANNELS, ObjectMasks, Palette
-from jaxdyna.envs.wrappers import FrameStack, Replayed, ReplayedParams, StackState
+from jaxdyna.envs.wrappers import Drawn, FrameStack, Replayed, ReplayedParams, StackState
 
 __all__ = [
     "CHANNELS", "AtariParams", "AtariPong", "AtariState", "CartPole", "CartPoleParams",
-    "CartPoleState", "Catch", "CatchParams", "CatchState", "FrameStack", "HostEnv",
-    "HostVectorEnv", "Maze", "MazeParams", "MazeState", "ObjectMasks", "Palette", "Pong",
+    "CartPoleState", "Catch", "CatchParams", "CatchState", "Drawn", "FrameStack",
+    "HostEnv", "HostVectorEnv", "Maze", "MazeParams", "MazeState", "ObjectMasks", "Palette", "Pong",
     "PongParams", "PongState", "Replayed", "ReplayedParams", "StackState", "register",
 ]  # fmt: skip
 

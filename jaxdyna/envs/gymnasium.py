@@ -7,6 +7,7 @@ the host, so that other libraries can train in it.
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar
 
@@ -68,6 +69,28 @@ def register(env_id: str, env: Environment, params: Any, **spec: Any) -> None:
         kwargs={"env": env_id},  # nothing that could not become JSON
         **{"max_episode_steps": int(params.max_steps)} | spec,
     )
+
+
+def play(
+    env_id: str, policy: Callable[..., jax.Array], seed: int, episodes: int, max_steps: int
+) -> np.ndarray:  # fmt: skip
+    """What ``policy``, ``(obs, key) -> action``, earns in an environment of Gymnasium's own.
+
+    Returns:
+        Returns ``[episodes]``, of episodes of at most ``max_steps`` steps, side by side.
+    """
+    env = gymnasium.make_vec(env_id, episodes, "sync", max_episode_steps=max_steps)
+    act, key = jax.jit(jax.vmap(policy)), jax.random.key(seed)
+    obs, _ = env.reset(seed=seed)
+    returns, alive = np.zeros(episodes), np.ones(episodes, bool)
+    while alive.any():
+        key, key_act = jax.random.split(key)
+        actions = np.asarray(act(obs, jax.random.split(key_act, episodes)))
+        obs, reward, terminated, truncated, _ = env.step(actions)
+        returns += np.where(alive, reward, 0)
+        alive &= ~(terminated | truncated)
+    env.close()
+    return returns
 
 
 def atari_emulator(game: str) -> Any:

@@ -141,3 +141,31 @@ class Replayed(Wrapper):
     def action_space(self, params: ReplayedParams) -> Any:
         """The environment's."""
         return self.env.action_space(params.env)
+
+
+def draw_start(key: Key, starts: Any) -> tuple[jax.Array, Any]:
+    """One of ``(obs, state) [starts, ...]``."""
+    number = jax.random.randint(key, (), 0, len(starts[0]))
+    return jax.tree.map(lambda leaf: leaf[number], starts)
+
+
+@dataclass(frozen=True)
+class Drawn(Replayed):
+    """Any environment whose episodes begin in one of the starts that were drawn of it beforehand:
+    what its own are drawn from, such as a replay, is not needed any more.
+    """
+
+    draw: Callable[[Key, Any], tuple[jax.Array, Any]] = draw_start
+
+    def reset(self, key: Key, params: ReplayedParams) -> tuple[jax.Array, Any]:
+        """Draws where it begins."""
+        return self.draw(key, params.start)
+
+    def step(self, key: Key, state: Any, action: jax.Array, params: ReplayedParams) -> Any:
+        """The environment's."""
+        change = getattr(params.env, "replace", None) or params.env._replace
+        return self.env.step(key, state, action, change(max_steps=params.max_steps))
+
+    def render(self, state: Any, params: ReplayedParams) -> jax.Array:
+        """The environment's."""
+        return self.env.render(state, params.env)  # type: ignore[attr-defined]

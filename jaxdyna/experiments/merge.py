@@ -1,6 +1,7 @@
 """``python -m jaxdyna.experiments.merge DIR... --out DIR``: one record of a run's shards."""
 
 import shlex
+import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import tyro
 
 from jaxdyna.experiments.engine import Curves, Experiment, Record, Results, cli, folders, storage
 from jaxdyna.experiments.engine.record import different, recorded, results_of, write_report
+from jaxdyna.experiments.engine.trained import FOLDER
 from jaxdyna.experiments.engine.work import SHOWN, joined
 from jaxdyna.fields import setting
 
@@ -48,6 +50,9 @@ def merge(call: Call, argv: Sequence[str]) -> int:
     experiment, record = _merged(shards, f"{PROG} {shlex.join(argv)}", call.out)
     with folders.held(call.out):
         folders.claim(call.out, {name: record.results[name] for name in WHOSE}, fresh=False)
+        for kept in (folder / FOLDER for folder in shards):
+            if kept.is_dir():
+                shutil.copytree(kept, call.out / FOLDER, dirs_exist_ok=True)
         whose = storage.identity(record.results)
         storage.write_curves(call.out / "curves.npz", record.curves, whose)
         storage.write_json(call.out / "results.json", record.results)
@@ -90,7 +95,7 @@ def _merged(shards: Shards, command: str, out: Path) -> tuple[Experiment, Record
     """The record of all shards together, and the experiment whose it is."""
     shards = dict(sorted(shards.items(), key=lambda shard: min(shard[1]["runs"]["seeds"])))
     first, *_ = every = list(shards.values())
-    experiment, options, setups = recorded(first)
+    experiment, options, entries = recorded(first)
     spent = {
         name: {part: sum(one["timing"]["arms"].get(name, {}).get(part, 0.0) for one in every)
                for part in seconds}
@@ -98,15 +103,15 @@ def _merged(shards: Shards, command: str, out: Path) -> tuple[Experiment, Record
     }  # fmt: skip
     total_s = sum(one["timing"]["total_s"] for one in every)
     peaks = [peak for one in every if (peak := one["device"]["peak_memory_gib"]) is not None]
-    kept = ("experiment", "part", "versions", "commit", "source", "sweep", *experiment.measures)
-    about = {name: first[name] for name in kept} | {
+    kept = ("experiment", "part", "module", "versions", "commit", "source", "sweep")
+    about = {name: first[name] for name in (*kept, *experiment.measures) if name in first} | {
         "command": " && ".join([*(one["command"] for one in every), command]),
         "device": first["device"] | {"peak_memory_gib": max(peaks, default=None)},
         "runs": first["runs"] | {"seeds": list(range(first["runs"]["of"])), "shard": [1, 1]},
         "timing": {"arms": spent, "total_s": total_s, "shards": len(every)},
     }
     curves = _together(shards, list(first["arms"]))
-    results = results_of(experiment, options, setups, curves, about)
+    results = results_of(experiment, options, entries, curves, about)
     return experiment, Record(options, results, curves, out)
 
 

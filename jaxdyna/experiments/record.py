@@ -287,7 +287,7 @@ def _made(plan: Plan, call: Call) -> int:
     if state.stale or state.other_code:
         flags += ["--shard", f"{one}/{of}"] if of > 1 else []
         flags += [("--fresh" if call.fresh else "--resume")] if state.begun else []
-        if code := _run(module, *flags, "--out", str(where)):
+        if code := _run(module, *flags, "--keep-runs", "0", "--out", str(where)):
             return code
     else:
         print(f"{where}: {state}, nothing to play")
@@ -329,11 +329,11 @@ def redraw(plans: Mapping[str, Plan], folder: Path) -> None:
         if state.results is None or state.stale:
             print(f"{name}: not drawn ({state})")
             continue
-        experiment, options, setups = recorded(state.results)
+        experiment, options, every = recorded(state.results)
         before = storage.identity(state.results)
         curves = storage.read_curves(out / "curves.npz", before)
         with folders.held(out):
-            results = results_of(experiment, options, setups, curves, state.results)
+            results = results_of(experiment, options, every, curves, state.results)
             storage.write_json(out / "results.json", results)
             if (now := storage.identity(results)) != before:  # settings that there were not then
                 storage.write_curves(out / "curves.npz", curves, now)

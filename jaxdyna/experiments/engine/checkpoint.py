@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from jaxdyna.experiments.engine.storage import InputError, read_arrays, write_arrays
-from jaxdyna.trees import is_key, raw, stack
+from jaxdyna.trees import named, stack, unlike, unnamed
 
 Curves = dict[str, np.ndarray]
 CHECKPOINT_SECONDS = 20.0
@@ -48,24 +48,10 @@ def stacked(states: Sequence[Curves], like: Any, place: Any) -> Any:
         InputError: where it is not of the structure of ``like``, naming the first leaf that
             differs.
     """
-    named, structure = jax.tree_util.tree_flatten_with_path(like)
-    wanted = {jax.tree_util.keystr(path): example for path, example in named}
     kept = stack(states)
-    for name in (*wanted, *kept):
-        now, then = (_sort(raw(tree[name])) if name in tree else "not there"
-                     for tree in (wanted, kept))  # fmt: skip
-        if now != then:
-            raise InputError(
-                f"the checkpoint is another version's: state{name} was {then} and is {now}; "
-                "run without --resume"
-            )
-    leaves = [
-        jax.random.wrap_key_data(kept[name], impl=jax.random.key_impl(example))
-        if is_key(example)
-        else kept[name]
-        for name, example in wanted.items()
-    ]
-    return jax.device_put(jax.tree.unflatten(structure, leaves), place)
+    if said := unlike(kept, named(like)):
+        raise InputError(f"the checkpoint is another version's: state{said}; run without --resume")
+    return jax.device_put(unnamed(kept, like), place)
 
 
 class Store:
@@ -172,7 +158,3 @@ class Store:
 def checkpoints_below(folder: Path) -> list[Path]:
     """Those of all arms, also of earlier versions, which wrote them by block."""
     return [path for of in ("run", "block") for path in folder.glob(f"*/{of}[0-9]*.npz")]
-
-
-def _sort(array: Any) -> str:
-    return f"{array.dtype}{list(array.shape)}"

@@ -22,6 +22,7 @@ O = TypeVar("O")  # noqa: E741
 NOT_SWEPT = (
     "seeds", "seed", "arms", "out", "episodes", "stop_after_solved", "block", "preset", "quick",
     "part", "resume", "fresh", "shard", "sweep", "from", "cache", "distributed",
+    "keep_runs",
 )  # fmt: skip
 
 
@@ -46,6 +47,10 @@ class Call:
         "keep compiled programs in the user's cache folder and use what is there; "
         "--no-cache: neither",
     )
+    keep_runs: int = setting(
+        10, "runs of each arm, the first ones, whose policy and model are kept for jaxdyna.load; "
+        "0: none", at_least=0,
+    )  # fmt: skip
     shard: str | None = setting(
         None, "I/N: the I-th of N equal parts of the runs; `merge` puts them together"
     )

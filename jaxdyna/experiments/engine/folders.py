@@ -16,6 +16,7 @@ from typing import Any
 
 from jaxdyna.experiments.engine import storage
 from jaxdyna.experiments.engine.checkpoint import checkpoints_below
+from jaxdyna.experiments.engine.trained import FOLDER
 
 LOCK, PREVIOUS, PARTS, CHECKPOINTS = ".lock", "previous", "parts", "checkpoints"
 FIGURE = re.compile(r"!\[[^\]]*\]\(([^()/]+)\)")
@@ -105,7 +106,7 @@ def claim(folder: Path, whose: Mapping[str, str], fresh: bool) -> None:
         )
     if begun is not None:
         clear(folder / CHECKPOINTS)
-    if results is not None or moving.exists():
+    if files(folder) or moving.exists():
         _set_aside(folder)
 
 
@@ -120,13 +121,13 @@ def clear(checkpoints: Path) -> None:
 
 
 def files(folder: Path) -> list[Path]:
-    """What a record in this folder consists of: the figures are those that its report shows;
-    ``results.json``, which tells whose it is, comes last.
+    """What a record in this folder consists of: the figures are those that its report shows; what
+    is kept is a folder; ``results.json``, which tells whose it is, comes last.
     """
     report = folder / "report.md"
     shown = FIGURE.findall(report.read_text(encoding="utf-8")) if report.is_file() else []
-    names = dict.fromkeys([*shown, "report.md", "curves.npz", "results.json"])
-    return [folder / name for name in names if (folder / name).is_file()]
+    names = dict.fromkeys([*shown, "report.md", FOLDER, "curves.npz", "results.json"])
+    return [folder / name for name in names if (folder / name).exists()]
 
 
 def _set_aside(folder: Path) -> None:
@@ -156,9 +157,10 @@ def _names(folder: Path) -> set[str]:
 
 def _in_version_control(folder: Path, record: list[Path]) -> bool:
     """Whether git has all of these files as they are."""
-    names = [file.name for file in record]
+    names = [file.name for file in record if file.is_file()]
     asked = ("ls-files", "--error-unmatch"), ("diff", "--quiet", "HEAD")
-    return bool(names) and None not in [storage.git(folder, *each, "--", *names) for each in asked]
+    whole = 0 < len(names) == len(record)  # what is kept is never removed
+    return whole and None not in [storage.git(folder, *each, "--", *names) for each in asked]
 
 
 def is_of(about: Any, whose: Mapping[str, str]) -> bool:

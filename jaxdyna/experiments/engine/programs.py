@@ -132,3 +132,10 @@ def _is_whole(entry: bytes) -> bool:
             with suppress(ImportError):
                 return bool(import_module(name).decompress(entry))
     return False
+
+
+def optimised(level: int, place: jax.Device) -> dict[str, Any]:
+    """How XLA compiles on a CPU: what is seldom run to level 1, in less than half the time."""
+    option = "xla_backend_optimization_level"
+    told = option in os.environ.get("XLA_FLAGS", "")
+    return {} if told or level == 3 or place.platform != "cpu" else {option: level}

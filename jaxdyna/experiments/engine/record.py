@@ -5,25 +5,36 @@
 import importlib
 import re
 import shlex
+import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine import storage
-from jaxdyna.experiments.engine.experiment import Experiment, Record, Results, Study, entries
+from jaxdyna.experiments.engine.experiment import Entry, Experiment, Record, Results, Study, entries
+from jaxdyna.experiments.engine.trained import EPISODES, RETURN
 from jaxdyna.experiments.engine.work import Curves
+from jaxdyna.experiments.report.sections import kept_policies
 from jaxdyna.experiments.report.summaries import compare, describe_arm, diverged
 from jaxdyna.experiments.report.tables import label, paragraphs
+from jaxdyna.statistics import mean_of_runs
+
+FORMAT = 1
+"""Of ``results.json`` and what lies beside it: what is read here and was not there before raises
+it. Settings that are added do not: they take their defaults where they are not named.
+"""
 
 
 def results_of(
-    experiment: Experiment, options: Any, setups: Mapping[str, Any], curves: Mapping[str, Curves],
+    experiment: Experiment, options: Any, every: Sequence[Entry], curves: Mapping[str, Curves],
     about: Results,
 ) -> Results:  # fmt: skip
-    """What is in ``results.json``, from the experiment's settings, those of each entry and its
+    """What is in ``results.json``, from the experiment's settings, every entry that there can be,
     curves ``[runs, ...]``, and what says ``about`` these how they came about, ``timing`` with it.
     """
     rule = experiment.rule(options) if experiment.rule else None
+    setups = {entry.name: entry.options for entry in every}
     arms: Results = {}
     for name, values in curves.items():
         arm, _, where = name.partition("@")
@@ -31,6 +42,8 @@ def results_of(
         said |= diverged(values, about["runs"]["seeds"])
         if rule is not None and "real_return" in values:
             said |= describe_arm(values, rule, options.episodes)
+        if RETURN in values:
+            said |= {RETURN: mean_of_runs(values[RETURN]) | {"episodes": EPISODES}}
         for describe in experiment.describe:
             said |= describe(setups.get(name, options), values)
         arms[name] = said
@@ -38,29 +51,60 @@ def results_of(
     total = {part: sum(one.get(part, 0.0) for one in spent) for part in ("compile_s", "run_s")}
     timing = total | {"shards": 1} | about["timing"]
     config = fields.plain(options) | {"arms": list(curves)}
-    results = about | {"preset": options.preset, "config": config, "timing": timing, "arms": arms}
+    said = {"preset": options.preset, "config": config, "timing": timing, "arms": arms}
+    results = about | {"format": FORMAT} | said
     if rule is not None:
         results["ratio_to_model_free"] = compare(arms, "model_free")
     return results
 
 
-def recorded(results: Results) -> tuple[Experiment, Any, dict[str, Any]]:
-    """What a record's ``results.json`` says that was played: the experiment, its settings, and
-    those of each entry that there can be.
+def home_of(part: Experiment | Study | None) -> Results:
+    """The ``module`` that an experiment is in, by the name by which it can be imported; nothing
+    where it is in none.
+    """
+    main = sys.modules["__main__"]  # which may have several names
+    script = Path(getattr(main, "__file__", None) or "").stem
+    for name, module in sorted(sys.modules.items(), key=lambda one: one[1] is main):
+        if any(each is part for each in [*getattr(module, "__dict__", {}).values()]):
+            return {"module": script if module is main else name}
+    return {}
+
+
+def parts_of(results: Results) -> Sequence[Experiment | Study]:
+    """The experiments of the module that a ``results.json`` is from.
+
+    Raises:
+        ValueError: where it cannot be imported.
+    """
+    name = results.get("module") or shlex.split(results["command"])[2]
+    try:
+        module = importlib.import_module(name)
+    except ImportError as error:
+        raise ValueError(
+            f"the experiment {results['part']} is in the module {name}, which cannot be imported "
+            f"({error}): put its folder on PYTHONPATH, or give the experiment to jaxdyna.load"
+        ) from None
+    own = [each for each in vars(module).values() if isinstance(each, Experiment | Study)]
+    return getattr(module, "PARTS", own)
+
+
+def recorded(
+    results: Results, parts: Sequence[Experiment | Study] = ()
+) -> tuple[Experiment, Any, list[Entry]]:
+    """What a record's ``results.json`` says that was played: the experiment, one of ``parts`` or by
+    default of `parts_of`, its settings, and every entry that there can be.
 
     Raises:
         ValueError: where there is no such experiment, or it does not read the settings.
     """
     try:
-        parts = importlib.import_module(shlex.split(results["command"])[2]).PARTS
-        part = {part.name: part for part in parts}[results["part"]]
+        part = {part.name: part for part in parts or parts_of(results)}[results["part"]]
         experiment = part.experiment() if isinstance(part, Study) else part
         default = experiment.presets[results["preset"]]
-    except (ImportError, AttributeError, LookupError):
+    except LookupError:
         raise ValueError(f"there is no such experiment: {results['command']}") from None
     options = fields.restored(default, results["config"])
-    every = entries(experiment, options, read_back(options, results["sweep"]))
-    return experiment, options, {entry.name: entry.options for entry in every}
+    return experiment, options, entries(experiment, options, read_back(options, results["sweep"]))
 
 
 def read_back(options: Any, sweep: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
@@ -80,7 +124,7 @@ def write_report(experiment: Experiment, record: Record) -> str:
         said = "were played before, by other code or versions than the rest"
         head.append(f"**{', '.join(others)} {said}** (results.json says which).")
     head.append(_diverged(record))
-    text = paragraphs(*(section(record) for section in experiment.sections))
+    text = paragraphs(*(section(record) for section in (*experiment.sections, kept_policies)))
     for name in record.results["arms"]:
         text = re.sub(rf"(?<!\w){re.escape(name)}", label(name), text)  # not the names of files
     text = paragraphs(*head, text) + "\n"

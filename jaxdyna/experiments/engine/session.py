@@ -24,12 +24,18 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from jaxdyna import fields
-from jaxdyna.experiments.engine import cli, folders, programs, storage, work
+from jaxdyna.experiments.engine import cli, folders, programs, storage, trained, work
 from jaxdyna.experiments.engine.checkpoint import Store, checkpoints_below
 from jaxdyna.experiments.engine.distributed import Processes, taken
 from jaxdyna.experiments.engine.experiment import Entry, Experiment, Record, Study, chosen, entries
 from jaxdyna.experiments.engine.progress import Bars
-from jaxdyna.experiments.engine.record import different, read_back, results_of, write_report
+from jaxdyna.experiments.engine.record import (
+    different,
+    home_of,
+    read_back,
+    results_of,
+    write_report,
+)
 from jaxdyna.experiments.engine.storage import InputError, Results
 from jaxdyna.fields import SettingError
 from jaxdyna.statistics import episodes_to_solve
@@ -123,7 +129,8 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
         out = out / "parts" / f"{number}-of-{of}"
     return Session(
         experiment, options, every, call.out or out, command, call.resume, call.fresh, call.shards,
-        sweep, family=parts[0].name, cache=call.cache,
+        sweep, family=parts[0].name, cache=call.cache, keep=call.keep_runs,
+        part=part,
     )  # fmt: skip
 
 
@@ -171,6 +178,8 @@ class Session:
         family: the name of the experiment whose part this is.
         cache: whether compiled programs are kept for later.
         processes: that share the work.
+        keep: of how many runs of each arm it is kept what they have learned.
+        part: what ``main`` was given.
     """
 
     experiment: Experiment
@@ -185,6 +194,8 @@ class Session:
     family: str = ""
     cache: bool = True
     processes: Processes = field(default_factory=Processes)
+    keep: int = 0
+    part: Experiment | Study | None = None
     console: Console = field(
         default_factory=lambda: Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     )
@@ -240,7 +251,7 @@ class Session:
             InputError: where something in mid-run is the user's to mend.
         """
         code, first = 0, self.processes.first
-        engine = work.Engine(interrupted=self.processes.interrupted)
+        engine = work.Engine(keep=self.keep, interrupted=self.processes.interrupted)
         self.processes.tell = self._stopped
         try:
             with _deferred_interrupt(engine):
@@ -336,8 +347,9 @@ class Session:
         """Takes up and writes what has been played of entries, run by run."""
         each = len(self.seeds)
         for number, entry in enumerate(group):
-            rows = slice(number * each, (number + 1) * each)
-            self.curves[entry.name] = work.joined(curves[rows])
+            own = zip(self.seeds, curves[number * each :], strict=False)
+            rest = [trained.write(self.out, entry.name, seed, run) for seed, run in own]
+            self.curves[entry.name] = work.joined(rest)
         self._write()
 
     def _over(self) -> work.Over | None:
@@ -454,15 +466,14 @@ class Session:
                 "block": self.options.block}  # fmt: skip
         about = {
             "experiment": self.family, "part": self.experiment.name, "command": self.command,
-            **made, "runs": runs, "sweep": fields.plain(dict(self.sweep)), "timing": timing,
-            **self.measured,
+            **home_of(self.part), **made, "runs": runs,
+            "sweep": fields.plain(dict(self.sweep)), "timing": timing, **self.measured,
         }  # fmt: skip
         if others:
             about["made_otherwise"] = others
         if missing := [name for name in ordered if name not in self.curves]:
             about["unfinished"] = missing
-        setups = {entry.name: entry.options for entry in self.every}
-        self.results = results_of(self.experiment, self.options, setups, self.curves, about)
+        self.results = results_of(self.experiment, self.options, self.every, self.curves, about)
         storage.write_json(self.out / "results.json", self.results)
         whose = storage.identity(self.results)  # the curves come last: they tell what is done
         storage.write_curves(self.out / "curves.npz", self.curves, whose)

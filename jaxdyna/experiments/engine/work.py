@@ -9,7 +9,6 @@ two pieces: as some are over, the others are fewer blocks.
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +24,9 @@ import numpy as np
 
 from jaxdyna.experiments.engine.checkpoint import Kept, Store, stacked
 from jaxdyna.experiments.engine.memory import afford, held, spare, used_by
+from jaxdyna.experiments.engine.programs import optimised
 from jaxdyna.experiments.engine.storage import cores
+from jaxdyna.experiments.engine.trained import EPISODES, Keeper, Trained, told_of
 from jaxdyna.sweep import over_runs
 from jaxdyna.trees import named_leaves, stack
 from jaxdyna.types import Key
@@ -43,6 +44,8 @@ rest of its curves is NaN.
 JUDGING = 2**32 - 1
 """Folded into the base seed's key: the runs' own keys are its first splits."""
 
+HOOKS = ("judge", "show", "keep")
+"""Of runs that are over; which of them it is, is folded into the key of a run's judging."""
 BEGUN = 8
 """Blocks a worker that are begun at most, so that their runs can be packed together."""
 
@@ -66,6 +69,8 @@ class Work(NamedTuple):
         block: runs computed together.
         level: to which XLA optimises its units on a CPU: 2 compiles in two thirds of the time, 3
             may run faster.
+        trained: ``(state, hparams) -> what a run has learned``, of which the first runs' is kept;
+            None: nothing is.
     """
 
     init: Callable[[Key, Any], Any]
@@ -77,6 +82,7 @@ class Work(NamedTuple):
     piece: int = 50
     block: int = 1
     level: int = 3
+    trained: Callable[[Any, Any], Trained] | None = None
 
 
 class Arm(NamedTuple):
@@ -180,12 +186,14 @@ class Engine:
 
     Attributes:
         workers: blocks that are played at a time; by default one a core, or one a device.
+        keep: of how many runs of each arm, the first ones, it is kept what they have learned.
         programs: that were compiled.
         prepared: the seconds that it took ahead of time.
         interrupted: set by Ctrl-C: every block is saved after its piece, then `Interrupted` raised.
     """
 
     workers: int = 0
+    keep: int = 0
     interrupted: threading.Event = field(default_factory=threading.Event)
     programs: dict[Any, _Program] = field(default_factory=dict)
     prepared: dict[Work, float] = field(default_factory=dict)
@@ -208,7 +216,7 @@ class Engine:
             InputError: where a checkpoint is another version's, or there is too little memory.
             Exception: of the first block that fails; the others are saved after their pieces.
         """
-        count = len(runs.seed)
+        work, count = self._asked(work), len(runs.seed)
         collected = work.collect(runs) if work.collect else None
         began = time.perf_counter()
         where = places(self.workers)[: -(-count // work.block)]
@@ -218,7 +226,9 @@ class Engine:
         programs = {place: self.programs[_known(work, runs, place)] for place in where}
         compile_s = time.perf_counter() - began + self.prepared.pop(work, 0.0)
         tally = _Tally(say, count, store.seconds() if store else 0.0)
-        pool = _Pool(runs, collected, over, store, tally, programs, where, self.interrupted)
+        pool = _Pool(
+            runs, collected, over, store, tally, programs, where, self.interrupted, self.keep
+        )
         with ThreadPoolExecutor(len(where)) as threads:
             workers = [threads.submit(pool.serve, place) for place in where]
         for worker in workers:
@@ -236,7 +246,7 @@ class Engine:
             InputError: where there is too little memory.
         """
         took, made = {}, {}
-        for work, runs in several.items():
+        for work, runs in zip(map(self._asked, several), several.values(), strict=True):
             if not work.collect:
                 began, blocks = time.perf_counter(), -(-len(runs.seed) // work.block)
                 made[work] = self._lowered(work, runs, None, places(self.workers)[:blocks])
@@ -254,6 +264,9 @@ class Engine:
         self.prepared |= {
             work: took[work] + share * one for work, one in zip(made, each, strict=True)
         }
+
+    def _asked(self, work: Work) -> Work:
+        return work if self.keep else work._replace(trained=None)
 
     def _lowered(
         self, work: Work, runs: Runs, collected: Any, where: Sequence[jax.Device]
@@ -307,12 +320,17 @@ class _Program:
         afford(held(state, data), work.block, at_once, place)  # before it compiles for minutes
         number = self.put(jax.ShapeDtypeStruct((), jnp.int32))
         piece_of = jax.jit(piece, donate_argnums=0).lower(state, data, number, number, hparams)
-        seldom = {"start": start, "data": making}
-        for name, judge in (("judge", work.judge), ("show", work.show)):
-            told = self.put(runs.judging[0]), number, (state, data, hparams)
-            seldom[name] = judge and jax.jit(partial(_of_one, judge)).lower(*told)
-        self.lowered = {name: (one, _optimised(1, place)) for name, one in seldom.items() if one}
-        self.lowered["piece"] = piece_of, _optimised(work.level, place)
+        seldom: dict[str, Any] = {"start": start, "data": making}
+        keeper = work.trained and Keeper(work.init, work.trained)
+        hooks = work.judge, work.show, keeper.keep if keeper else None
+        told = self.put(runs.judging[0]), number, (state, data, hparams)
+        for name, hook in zip(HOOKS, hooks, strict=True):
+            seldom[name] = hook and jax.jit(partial(_of_one, hook)).lower(*told)
+        if keeper:
+            own = jax.tree.map(itemgetter(0), runs.hparams)
+            seldom["play"] = keeper.play.lower(seldom["keep"].out_info, told[0], own, EPISODES)
+        self.lowered = {name: (one, optimised(1, place)) for name, one in seldom.items() if one}
+        self.lowered["piece"] = piece_of, optimised(work.level, place)
 
     def compile(self) -> None:
         """Compiles it, and looks at the memory that it takes.
@@ -334,13 +352,6 @@ class _Program:
         return jax.tree.map(
             lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=where), tree
         )
-
-
-def _optimised(level: int, place: jax.Device) -> dict[str, Any]:
-    """How XLA compiles, on a CPU: what is seldom run to level 1, in less than half the time."""
-    option = "xla_backend_optimization_level"
-    told = option in os.environ.get("XLA_FLAGS", "")
-    return {} if told or level == 3 or place.platform != "cpu" else {option: level}
 
 
 def _of_one(judge: Callable, key: Key, lane: jax.Array, held: tuple[Any, Any, Any]) -> Any:
@@ -389,6 +400,7 @@ class _Pool:
     programs: Mapping[jax.Device, _Program]
     where: Sequence[jax.Device]
     interrupted: threading.Event
+    keep: int
 
     def __post_init__(self) -> None:
         self.lock, self.failed = threading.Lock(), threading.Event()
@@ -577,18 +589,19 @@ class _Block:
             for name, values in self.pieces.items()
             if first or not name.startswith(SHOWN)
         }
-        calls = self.program.calls
-        wanted = [
-            name for name, wants in (("judge", True), ("show", first and not broken.any()))
-            if wants and name in calls
-        ]  # fmt: skip
-        key, held = self.pool.judging[row], (self.state, self.data, self.hparams)
-        for name in wanted:
-            told = self._put((jax.random.fold_in(key, int(name == "show")), np.int32(lane)))
-            judged = calls[name](*told, held)
+        calls, whole = self.program.calls, not broken.any()
+        kept = whole and self.pool.runs.seed[row] < self.pool.keep
+        asked = {"judge": True, "show": first and whole, "keep": kept}
+        held = self.state, self.data, self.hparams
+        for name in (name for name in HOOKS if asked[name] and name in calls):
+            key = jax.random.fold_in(self.pool.judging[row], HOOKS.index(name))
+            judged = calls[name](*self._put((key, np.int32(lane))), held)
+            if name == "keep":
+                hparams = jax.tree.map(itemgetter(row), self.pool.runs.hparams)
+                judged = told_of(judged, calls["play"](judged, key, hparams))
             prefix = SHOWN if name == "show" else ""
             found = {f"{prefix}{name}": _said(values) for name, values in judged.items()}
-            if broken.any():  # whatever a broken run does is no result
+            if not whole:  # whatever a broken run does is no result
                 found = {name: np.full(values.shape, np.nan, np.float32)
                          for name, values in found.items()}  # fmt: skip
             curves |= found
@@ -626,12 +639,13 @@ class _Tally:
 
 def joined(curves: Sequence[Curves]) -> Curves:
     """Arrays ``[runs, ...]`` of several runs, each filled up with NaN after its own end; what is
-    shown is the first's that has it.
+    shown is the first's that has it; a number that a run has not is NaN.
     """
     arrays: Curves = {}
     for name in dict.fromkeys(name for run in curves for name in run):
-        values = [np.asarray(run[name]) for run in curves if name in run]
-        arrays[name] = values[0] if name.startswith(SHOWN) else _filled(values)
+        shown = name.startswith(SHOWN)
+        values = [run.get(name, np.nan) for run in curves if name in run or not shown]
+        arrays[name] = np.asarray(values[0]) if shown else _filled([*map(np.asarray, values)])
     return arrays
 
 

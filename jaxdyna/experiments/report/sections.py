@@ -362,6 +362,26 @@ def _said(value: Any) -> str:
     return f"{said:g}" if isinstance(said, float) else str(said)
 
 
+def kept_policies(record: Any) -> str:
+    """What the policies earn that were kept; empty where none was."""
+    kept = {name: arm["kept_return"] for name, arm in record.results["arms"].items()
+            if arm.get("kept_return", {}).get("mean") is not None}  # fmt: skip
+    rows = [
+        [name, tables.with_interval(said, 1), ", ".join(f"{one:.10g}" for one in said["per_seed"]
+                                                        if one is not None)]
+        for name, said in kept.items()
+    ]  # fmt: skip
+    if not rows:
+        return ""
+    episodes = next(iter(kept.values()))["episodes"]
+    return paragraphs(
+        "## Kept policies",
+        f"Mean return over {episodes} new episodes of each policy that was kept, as evaluated: "
+        "`jaxdyna.load` opens them, `python -m jaxdyna.experiments.evaluate` plays them again.",
+        markdown_table(["arm", "mean (95% interval)", "each run's"], rows),
+    )
+
+
 def spent(record: Any) -> str:
     """Seconds and memory."""
     timing, device = record.results["timing"], record.results["device"]

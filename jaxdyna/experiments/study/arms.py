@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, make_init, make_step
-from jaxdyna.experiments.engine import Arm, Runs, Work
+from jaxdyna.experiments.engine import Arm, Runs, Trained, Work
 from jaxdyna.fields import LARGEST, SettingError
 from jaxdyna.sweep import RUNS
 from jaxdyna.types import Agent, Key
@@ -70,9 +70,16 @@ def dyna_work(dyna: Dyna, config: DynaConfig, hooks: Hooks) -> Work:
             state = replace(state, model=replace(state.model, params=given))
         return play(state, episode, hparams)
 
+    def trained(state: DynaState, hparams: DynaHParams) -> Trained:
+        dream = dyna.dream and (dyna.dream.env, dyna.dream.params(state, hparams))
+        policy = greedy_policy(dyna, state, hparams)
+        return Trained(policy, dyna.env, hparams.env, config.num_steps, *(dream or ()))
+
+    plans = dyna.expert is not None and dyna.expert.episodes is None  # it has no policy
     return Work(
         make_init(dyna, config), step, collect=hooks.given, judge=told(hooks.judge),
         show=told(hooks.show), piece=hooks.piece, block=hooks.block, level=hooks.level,
+        trained=None if plans else trained,
     )  # fmt: skip
 
 
@@ -140,7 +147,7 @@ def greedy(hparams: Any) -> Any:
 
 
 def greedy_policy(dyna: Dyna, state: DynaState, hparams: DynaHParams) -> Callable[..., jax.Array]:
-    """``(obs, key) -> action`` of a run's DQN without exploration."""
+    """``(obs, key) -> action`` of a run's agent without exploration, where it can."""
     act = dyna.agent.act_greedy or dyna.agent.act
     return lambda obs, key: act(state.agent, obs, key, hparams.agent)
 

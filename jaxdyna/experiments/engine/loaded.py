@@ -1,0 +1,129 @@
+"""What a run left, from Python: `jaxdyna.load`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxdyna.envs import register
+from jaxdyna.experiments.engine import storage, trained
+from jaxdyna.experiments.engine.experiment import Entry, Experiment, Study
+from jaxdyna.experiments.engine.record import FORMAT, recorded
+from jaxdyna.experiments.engine.trained import EPISODES, REAL, RETURN, Keeper, Trained
+from jaxdyna.experiments.engine.work import HOOKS, Curves, runs_of
+from jaxdyna.fields import check_counts
+
+
+def load(folder: str | Path, *parts: Experiment | Study) -> Loaded:
+    """Opens the folder of a run, wherever it lies. Nothing in it is run as code.
+
+    Args:
+        folder: that ``--out`` named.
+        parts: the experiment that was played, where it is in no module that can be imported.
+
+    Raises:
+        ValueError: where there is no result, it is damaged, or of a later version, or its
+            experiment cannot be found.
+    """
+    folder = Path(folder)
+    results = storage.read_json(folder / "results.json")
+    if results is None or "part" not in results:
+        raise ValueError(f"{folder} has no result of a run: name the folder that --out named")
+    if results.get("format", FORMAT) > FORMAT:
+        raise ValueError(f"{folder} is of a later version of jaxdyna: update this one")
+    _, options, every = recorded(results, parts)
+    curves = storage.read_curves(folder / "curves.npz", storage.identity(results))
+    return Loaded(folder, results, options, curves, {entry.name: entry for entry in every})
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """What a run left.
+
+    Attributes:
+        folder: where it lies.
+        results: its ``results.json``; ``results["config"]`` are the settings as JSON.
+        options: the settings, resolved.
+        curves: by arm and name, arrays ``[runs, ...]``, NaN after a run's own end.
+        entries: every arm that there can be, by name.
+    """
+
+    folder: Path
+    results: storage.Results
+    options: Any
+    curves: Mapping[str, Curves]
+    entries: Mapping[str, Entry]
+
+    @cached_property
+    def kept(self) -> dict[str, list[int]]:
+        """The seeds whose policy and dreams are kept, by arm."""
+        seeds, none = np.array(self.results["runs"]["seeds"]), np.array(np.nan)
+        found = {arm: np.isfinite(one.get(RETURN, none)) for arm, one in self.curves.items()}
+        return {arm: seeds[which].tolist() for arm, which in found.items() if which.any()}
+
+    def trained(self, arm: str, seed: int | None = None) -> Trained:
+        """What a run has learned, by default the first that is kept of its arm.
+
+        Raises:
+            ValueError: where it is not kept, or what is kept is damaged, another run's or another
+                version's.
+        """
+        keeper, kept, _, hparams = self._run(arm, seed)
+        act = jax.jit(lambda kept, obs, key: keeper.opened(kept, hparams).policy(obs, key))
+        return keeper.opened(kept, hparams)._replace(policy=partial(act, kept))
+
+    def returns(self, arm: str, seed: int | None = None, episodes: int = EPISODES) -> np.ndarray:
+        """Of its policy in new episodes of the true environment, ``[episodes]``. Of as many as in
+        the report the mean is the report's, to the last digit on the same kind of machine.
+
+        Raises:
+            ValueError: as `trained`.
+        """
+        check_counts(episodes=episodes)
+        keeper, kept, key, hparams = self._run(arm, seed)
+        return np.asarray(keeper.play(kept, key, hparams, episodes), np.float64)
+
+    def register(
+        self, env_id: str, arm: str | None = None, seed: int | None = None, **spec: Any
+    ) -> None:  # fmt: skip
+        """Registers a run's dream with Gymnasium, see `jaxdyna.envs.register`; by default that of
+        the first arm that has one.
+
+        Raises:
+            ValueError: as `trained`, and where there is no dream.
+        """
+        runs = (self.trained(name, seed) for name in ([arm] if arm else self.kept))
+        found = next((run for run in runs if run.dream is not None), None)
+        if found is None or found.dream is None:
+            raise ValueError(f"no dream is kept in {self.folder}{f' of {arm}' if arm else ''}")
+        register(env_id, found.dream, found.dream_params, **spec)
+
+    def _run(self, arm: str, seed: int | None) -> tuple[Keeper, Mapping[str, Any], Any, Any]:
+        """What opens a run, what is kept of it, the key of its judging, and its hparams."""
+        if arm not in self.curves:
+            raise ValueError(f"{self.folder} has no arm {arm}: there are {', '.join(self.curves)}")
+        made, seeds = self.entries[arm].make(), self.kept.get(arm, [])
+        if made.work.trained is None:
+            raise ValueError(f"the arm {arm} keeps no policy: it acts by planning")
+        seed = seed if seed is not None or not seeds else seeds[0]
+        if seed not in seeds:
+            raise ValueError(f"of {arm} in {self.folder} the seeds {seeds} are kept, not {seed}: "
+                             "--keep-runs says of how many runs")  # fmt: skip
+        runs, row = (
+            runs_of([made], [seed], self.options.seed),
+            self.results["runs"]["seeds"].index(seed),
+        )
+        hparams = jax.tree.map(itemgetter(0), runs.hparams)
+        own = {name: self.curves[arm][name][row] for name in (REAL, RETURN)}
+        kept = trained.read(self.folder, arm, seed, own)
+        keeper = Keeper(made.work.init, made.work.trained)
+        if said := keeper.differs(kept, hparams):
+            raise ValueError(f"{arm} in {self.folder} was kept by another version: {said}")
+        return keeper, kept, jax.random.fold_in(runs.judging[0], HOOKS.index("keep")), hparams

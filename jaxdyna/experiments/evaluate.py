@@ -1,0 +1,78 @@
+"""``python -m jaxdyna.experiments.evaluate DIR``: the kept policies of a run, in the true world."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from jaxdyna.envs.gymnasium import play
+from jaxdyna.experiments.engine import cli, programs
+from jaxdyna.experiments.engine.loaded import Loaded, load
+from jaxdyna.experiments.engine.trained import EPISODES, RETURN
+from jaxdyna.experiments.report.tables import markdown_table
+from jaxdyna.fields import setting
+
+PROG = "python -m jaxdyna.experiments.evaluate"
+
+
+@dataclass(frozen=True)
+class Call:
+    """Plays the policies that a run has kept in new episodes, and says what they earn."""
+
+    folder: tyro.conf.Positional[Path] = setting(help="of the run")
+    episodes: int = setting(EPISODES, "that each plays", at_least=1)
+    arm: tuple[str, ...] = setting((), "whose; all without")
+    gymnasium: bool = setting(False, "in Gymnasium's own world, where it has the same one")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Plays, by the arguments or the process's, and returns the exit code: see `cli.command`."""
+    words = sys.argv[1:] if argv is None else argv
+    usage = f"DIR [--episodes {EPISODES}] [--arm ARM...] [--gymnasium]\n\n{Call.__doc__}"
+    return cli.command(Call, usage, PROG, words or ["--help"], evaluate)
+
+
+def evaluate(call: Call, argv: Sequence[str]) -> int:
+    """Prints what each earns, and what the report says.
+
+    Raises:
+        ValueError: where nothing is kept in the folder, or Gymnasium has no such world.
+    """
+    left, rows = load(call.folder), []
+    with programs.kept():
+        for arm in call.arm or left.kept:
+            for seed in left.kept.get(arm, [None]):
+                earned = returns(left, arm, seed, call)
+                said = dict(
+                    zip(left.results["runs"]["seeds"], left.curves[arm][RETURN], strict=True)
+                )
+                numbers = said[seed], earned.mean(), earned.min(), earned.max()
+                rows.append([arm, str(seed), *(f"{one:.10g}" for one in numbers)])
+    if not rows:
+        raise ValueError(f"{call.folder} keeps no policy: play with --keep-runs above 0")
+    where = "Gymnasium's own world" if call.gymnasium else "the true world"
+    header = ["arm", "seed", "report", f"{call.episodes} episodes", "least", "most"]
+    print(f"Returns in {where}:\n\n{markdown_table(header, rows)}")
+    return 0
+
+
+def returns(left: Loaded, arm: str, seed: int | None, call: Call) -> np.ndarray:
+    """Of a kept policy, ``[episodes]``.
+
+    Raises:
+        ValueError: where it is not kept, or Gymnasium has no such world.
+    """
+    if not call.gymnasium:
+        return left.returns(arm, seed, call.episodes)
+    run = left.trained(arm, seed)
+    name = getattr(run.env, "gymnasium_id", None)
+    if name is None:
+        raise ValueError(f"--gymnasium: it has no {type(run.env).__name__} of its own")
+    return play(name, run.policy, left.options.seed, call.episodes, int(run.params.max_steps))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
