@@ -168,13 +168,16 @@ def test_a_run_of_format_1_is_still_opened(capsys):
 def test_a_network_of_another_size_is_named():
     left = jaxdyna.load(TODAY)
     made = left.entries["dyna"].make()
-    keeper, file = Keeper(made.work.init, made.work.trained), TODAY / "kept" / "dyna" / "0.npz"
+    keeper, file = (
+        Keeper(made.work.init, made.work.trained, made.hparams),
+        TODAY / "kept" / "dyna" / "0.npz",
+    )
     kept, name = storage.read_arrays(file), ".state.agent.params['params']['Dense_0']['kernel']"
-    assert keeper.differs(kept, made.hparams) == ""
+    assert keeper.differs(kept) == ""
     kept[name] = np.zeros((4, 9), np.float32)
-    assert keeper.differs(kept, made.hparams) == f"{name} was float32[4, 9] and is float32[4, 8]"
+    assert keeper.differs(kept) == f"{name} was float32[4, 9] and is float32[4, 8]"
     del kept[name]
-    assert keeper.differs(kept, made.hparams) == f"{name} was not there and is float32[4, 8]"
+    assert keeper.differs(kept) == f"{name} was not there and is float32[4, 8]"
 
 
 def test_an_experiment_of_ones_own_is_found_by_its_module(copy):
@@ -213,7 +216,7 @@ def test_a_run_that_was_killed_once_over_keeps_what_it_has_learned(tmp_path):
 def test_replays_and_optimisers_are_not_kept(arm):
     options = catch.CATCH.presets["lean"].resolved()
     made = catch.CATCH.arms(options)[arm]()
-    names = Keeper(made.work.init, made.work.trained).names(made.hparams)
+    names = Keeper(made.work.init, made.work.trained, made.hparams).names
     wanted = {"model_free": ["agent.target"], "dyna": [None, "agent.target", "model.params"]}[arm]
     assert {re.match(r"\.state\.(\w+\.\w+)|\.starts", name)[1] for name in names} == set(wanted)
 

@@ -123,7 +123,7 @@ class Loaded:
         hparams = jax.tree.map(itemgetter(0), runs.hparams)
         own = {name: self.curves[arm][name][row] for name in (REAL, RETURN)}
         kept = trained.read(self.folder, arm, seed, own)
-        keeper = Keeper(made.work.init, made.work.trained)
-        if said := keeper.differs(kept, hparams):
+        keeper = Keeper(made.work.init, made.work.trained, hparams)
+        if said := keeper.differs(kept):
             raise ValueError(f"{arm} in {self.folder} was kept by another version: {said}")
         return keeper, kept, jax.random.fold_in(runs.judging[0], HOOKS.index("keep")), hparams

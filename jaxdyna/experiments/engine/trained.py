@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -69,34 +70,39 @@ class Keeper:
     Args:
         init: `Work.init`.
         trained: `Work.trained`.
+        hparams: of one run; others are like them.
     """
 
-    def __init__(self, init: Callable[..., Any], trained: Callable[..., Trained]):
-        self.init, self.trained = init, trained
+    def __init__(self, init: Callable[..., Any], trained: Callable[..., Trained], hparams: Any):
+        self.trained, self.like = trained, jax.eval_shape(lambda: hparams)
+        key = jax.eval_shape(jax.random.key, 0)
+        state = jax.eval_shape(init, key, self.like)
+        self.shapes = jax.eval_shape(self._last, state, key, self.like)
         options = optimised(1, jax.devices()[0])
         self.play = jax.jit(self._played, static_argnums=3, compiler_options=options)
 
     def keep(self, state: Any, data: Any, key: Key, hparams: Any) -> dict[str, jax.Array]:
         """What is kept of a run that is over, as `Work.judge`."""
         leaves = named(self._last(state, jax.random.fold_in(key, 0), hparams))
-        return {name: leaves[name] for name in self.names(hparams)}
+        return {name: leaves[name] for name in self.names}
 
     def opened(self, kept: Arrays, hparams: Any) -> Trained:
         """What was kept, put together again; dreams begin in kept starts."""
-        last = unnamed(jax.tree.map(jnp.asarray, dict(kept)), self._shapes(hparams))
+        last = unnamed(jax.tree.map(jnp.asarray, dict(kept)), self.shapes)
         run = self.trained(last.state, hparams)
         if run.dream is None:
             return run
         params = ReplayedParams(run.dream_params, last.starts, run.dream_params.max_steps)
         return run._replace(dream=Drawn(run.dream), dream_params=params)
 
-    def differs(self, kept: Arrays, hparams: Any) -> str:
+    def differs(self, kept: Arrays) -> str:
         """How that is not what would be kept today, in words; nothing where it is."""
-        shapes, key = self._shapes(hparams).state, jax.eval_shape(jax.random.key, 0)
-        wanted = jax.eval_shape(self.keep, shapes, None, key, hparams)
+        key = jax.eval_shape(jax.random.key, 0)
+        wanted = jax.eval_shape(self.keep, self.shapes.state, None, key, self.like)
         return unlike({name: kept[name] for name in wanted if name in kept}, wanted)
 
-    def names(self, hparams: Any) -> list[str]:
+    @cached_property
+    def names(self) -> list[str]:
         """Names of the leaves of `Last` that acting and dreaming read."""
 
         def step(last: Last, key: Key, hparams: Any) -> Any:
@@ -108,15 +114,11 @@ class Keeper:
             start = jax.tree.map(lambda leaf: leaf[0], last.starts)
             return start, run.dream.step(keys[2], start[1], action, run.dream_params)
 
-        shapes = self._shapes(hparams)
-        jaxpr = jax.make_jaxpr(step)(shapes, jax.eval_shape(jax.random.key, 0), hparams).jaxpr
-        _, read = dce_jaxpr(jaxpr, [True] * len(jaxpr.outvars))
-        paths = [path for path, _ in jax.tree.leaves_with_path(shapes)]
-        return [jax.tree_util.keystr(path) for path, is_ in zip(paths, read, strict=False) if is_]
-
-    def _shapes(self, hparams: Any) -> Last:
         key = jax.eval_shape(jax.random.key, 0)
-        return jax.eval_shape(self._last, jax.eval_shape(self.init, key, hparams), key, hparams)
+        jaxpr = jax.make_jaxpr(step)(self.shapes, key, self.like).jaxpr
+        _, read = dce_jaxpr(jaxpr, [True] * len(jaxpr.outvars))
+        paths = [path for path, _ in jax.tree.leaves_with_path(self.shapes)]
+        return [jax.tree_util.keystr(path) for path, is_ in zip(paths, read, strict=False) if is_]
 
     def _last(self, state: Any, key: Key, hparams: Any) -> Last:
         run = self.trained(state, hparams)

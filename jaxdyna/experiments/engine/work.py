@@ -321,13 +321,13 @@ class _Program:
         number = self.put(jax.ShapeDtypeStruct((), jnp.int32))
         piece_of = jax.jit(piece, donate_argnums=0).lower(state, data, number, number, hparams)
         seldom: dict[str, Any] = {"start": start, "data": making}
-        keeper = work.trained and Keeper(work.init, work.trained)
+        own = jax.tree.map(itemgetter(0), runs.hparams)
+        keeper = work.trained and Keeper(work.init, work.trained, own)
         hooks = work.judge, work.show, keeper.keep if keeper else None
         told = self.put(runs.judging[0]), number, (state, data, hparams)
         for name, hook in zip(HOOKS, hooks, strict=True):
             seldom[name] = hook and jax.jit(partial(_of_one, hook)).lower(*told)
         if keeper:
-            own = jax.tree.map(itemgetter(0), runs.hparams)
             seldom["play"] = keeper.play.lower(seldom["keep"].out_info, told[0], own, EPISODES)
         self.lowered = {name: (one, optimised(1, place)) for name, one in seldom.items() if one}
         self.lowered["piece"] = piece_of, optimised(work.level, place)
