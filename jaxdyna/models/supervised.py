@@ -44,6 +44,10 @@ class SupervisedConfig(Checked):
     normalise: bool = setting(
         False, "Scale inputs and state targets by their running mean and standard deviation."
     )
+    scale_reward: bool = setting(
+        False, "Likewise rewards: where they are far from 1, their errors else hide the state's, "
+        "or are hidden by them.",
+    )  # fmt: skip
     spread: float = setting(
         1.0,
         "How many standard deviations normalise maps to 1. More makes the state's errors smaller "
@@ -93,6 +97,7 @@ class SupervisedParams:
     network: Any
     inputs: Moments
     targets: Moments
+    rewards: Moments
 
 
 def supervised(
@@ -133,9 +138,11 @@ def supervised(
     def init(key: Key, hparams: SupervisedHParams) -> Trained:
         zeros = jnp.zeros(obs_size + action_size)
         weights = jax.vmap(network.init, (0, None))(jax.random.split(key, config.ensemble), zeros)
-        still = Moments(jnp.zeros(obs_size), jnp.ones(obs_size), jnp.int32(0))
+        still, one = (
+            Moments(jnp.zeros(size), jnp.ones(size), jnp.int32(0)) for size in (obs_size, 1)
+        )
         opt_state = config.optimizer(hparams.learning_rate).init(weights)
-        return Trained(SupervisedParams(weights, still, still), opt_state)
+        return Trained(SupervisedParams(weights, still, still, one), opt_state)
 
     def predict(
         params: SupervisedParams, obs: jax.Array, action: jax.Array, key: Key
@@ -146,6 +153,8 @@ def supervised(
         )(params.network)
         target = scaled * spread * params.targets.std + params.targets.mean
         next_obs = obs + target if config.delta else target
+        if config.scale_reward:
+            reward = reward * params.rewards.std[0] + params.rewards.mean[0]
         said = next_obs, reward, jax.nn.sigmoid(logit)
         state, reward, end = _drawn(key, said) if config.one_member else _means(said)
         return Prediction(
@@ -171,12 +180,17 @@ def supervised(
                 inputs=_update_moments(params.inputs, batch.obs, weight),
                 targets=_update_moments(params.targets, target, weight),
             )
+        reward = batch.reward
+        if config.scale_reward:
+            seen = _update_moments(params.rewards, reward[:, None], weight)
+            params = replace(params, rewards=seen)
+            reward = (reward - seen.mean[0]) / seen.std[0]
         scaled_target = (target - params.targets.mean) / (spread * params.targets.std)
 
         def member_loss(weights, row):
             output = member(weights, params, batch.obs[row], batch.action[row])
             losses = jax.vmap(transition_loss)(
-                *output, scaled_target[row], batch.reward[row], batch.terminated[row]
+                *output, scaled_target[row], reward[row], batch.terminated[row]
             )
             total = (weight[row] * losses).sum()
             mean = total / jnp.maximum(weight[row].sum(), 1e-6)

@@ -16,6 +16,20 @@ from jaxdyna.experiments.report.summaries import compare, describe_arm, diverged
 from jaxdyna.experiments.report.tables import label, paragraphs
 
 
+def command_of(module: str, *flags: str) -> tuple[Sequence[Experiment | Study], list[str], str]:
+    """What a command of so many flags plays, flags that are left, and the command without these:
+    the module's ``PARTS``, or what its function ``command`` makes of the flags.
+
+    Raises:
+        ImportError, AttributeError: where it is no such module.
+        ValueError: where flags are wrong.
+    """
+    found = importlib.import_module(module)
+    if hasattr(found, "command"):
+        return found.command(flags)
+    return found.PARTS, list(flags), f"python -m {module}"
+
+
 def results_of(
     experiment: Experiment, options: Any, setups: Mapping[str, Any], curves: Mapping[str, Curves],
     about: Results,
@@ -52,7 +66,7 @@ def recorded(results: Results) -> tuple[Experiment, Any, dict[str, Any]]:
         ValueError: where there is no such experiment, or it does not read the settings.
     """
     try:
-        parts = importlib.import_module(shlex.split(results["command"])[2]).PARTS
+        parts, *_ = command_of(*shlex.split(results["command"])[2:])
         part = {part.name: part for part in parts}[results["part"]]
         experiment = part.experiment() if isinstance(part, Study) else part
         default = experiment.presets[results["preset"]]
