@@ -89,13 +89,13 @@ def parts(env: FrameStack, agent: Any, model: Any) -> Dyna:
     shape = env.env.observation_space(env.default_params).shape
     stack = env.observation_space(env.default_params).shape
     if isinstance(model, PixelConfig):
-        learned = pixels(shape, actions, model, count)
+        learned, rare = pixels(shape, actions, model, count), rewarded
     else:
-        learned = supervised(*stack, actions, model)
+        learned, rare = supervised(*stack, actions, model), ended
     if isinstance(agent, ReinforceConfig):
         policy = reinforce(stack, actions, agent)
-        return frame_dyna(env, policy, learned, shared=None, first=True, rare=ended)
-    return frame_dyna(env, dqn(shape, actions, agent, count), learned, rare=ended)
+        return frame_dyna(env, policy, learned, shared=None, first=True, rare=rare)
+    return frame_dyna(env, dqn(shape, actions, agent, count), learned, rare=rare)
 
 
 @cache

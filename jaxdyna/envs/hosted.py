@@ -259,7 +259,8 @@ class Host:
                 raise RuntimeError("lanes of a VectorEnv are stepped together: leave none out")
             played = worlds.step({lane: asked[n][8] for lane, n in lanes.items()})
             for lane, number in lanes.items():
-                row, (obs, reward, terminated, truncated) = asked[number], played[lane]
+                row, (obs, reward, ends, truncated) = asked[number], played[lane]
+                terminated = bool(ends)
                 cut = not terminated and bool(truncated or row[12])
                 name = _digest(row + ANSWER.pack(b"", reward, terminated, cut), obs)
                 answers[number] = ANSWER.pack(name, reward, terminated, cut), obs

@@ -16,8 +16,7 @@ import tyro
 from jaxdyna import agents, models, networks
 from jaxdyna.agents.reinforce import per_step
 from jaxdyna.dyna import DynaConfig, DynaHParams
-from jaxdyna.dyna.frames import parts, true_dyna
-from jaxdyna.envs import FrameStack, Hosted
+from jaxdyna.envs import FrameStack
 from jaxdyna.envs.named import FORMS, module_of, named
 from jaxdyna.experiments import engine
 from jaxdyna.experiments.engine import cli, storage
@@ -131,18 +130,12 @@ def defaults(said: str, learner: str) -> AnyOptions:
 
 
 def arms(options: AnyOptions) -> dict[str, study.Made]:
-    """The standard arms; those of more updates of a DQN alone, the oracle where states can be had
-    again.
-    """
-    env, busier = FrameStack(named(options.env), options.frames), None
-    agent, always = options.agent, isinstance(options.agent, agents.DQNConfig)
-    if always:
-        agent = study.sized(agent, options.dyna)
-        busier = parts(env, study.busy(agent, options.dyna), options.model).agent
-    dyna = parts(env, agent, options.model)
-    true = None if isinstance(env.env, Hosted) else true_dyna(dyna, first=not always)
-    hooks = study.Hooks(piece=10, block=options.block)
-    return study.standard_arms(dyna, options.dyna, options.hparams, true, hooks, busier=busier)
+    """The standard arms."""
+    env = FrameStack(named(options.env), options.frames)
+    return study.world_arms(
+        env, options.agent, options.model, options.dyna, options.hparams,
+        study.Hooks(piece=10, block=options.block),
+    )  # fmt: skip
 
 
 def rule(options: AnyOptions) -> SolveRule | None:

@@ -153,8 +153,7 @@ def supervised(
         )(params.network)
         target = scaled * spread * params.targets.std + params.targets.mean
         next_obs = obs + target if config.delta else target
-        if config.scale_reward:
-            reward = reward * params.rewards.std[0] + params.rewards.mean[0]
+        reward = reward * params.rewards.std[0] + params.rewards.mean[0]
         said = next_obs, reward, jax.nn.sigmoid(logit)
         state, reward, end = _drawn(key, said) if config.one_member else _means(said)
         return Prediction(
@@ -173,19 +172,9 @@ def supervised(
         batch, weight = batch.blanked(), batch.weights
         chex.assert_shape([batch.obs, batch.next_obs], (None, obs_size))
         target = raw_target(batch.obs, batch.next_obs)
-        params = state.params
-        if config.normalise:
-            params = replace(
-                params,
-                inputs=_update_moments(params.inputs, batch.obs, weight),
-                targets=_update_moments(params.targets, target, weight),
-            )
-        reward = batch.reward
-        if config.scale_reward:
-            seen = _update_moments(params.rewards, reward[:, None], weight)
-            params = replace(params, rewards=seen)
-            reward = (reward - seen.mean[0]) / seen.std[0]
+        params = _noted(config, state.params, batch, target)
         scaled_target = (target - params.targets.mean) / (spread * params.targets.std)
+        reward = (batch.reward - params.rewards.mean[0]) / params.rewards.std[0]
 
         def member_loss(weights, row):
             output = member(weights, params, batch.obs[row], batch.action[row])
@@ -209,6 +198,20 @@ def supervised(
         return where((weight > 0).any(), new, state), {"loss": loss}
 
     return DynamicsModel(init, predict, update, num_actions, SupervisedHParams)
+
+
+def _noted(
+    config: SupervisedConfig, params: SupervisedParams, batch: Transition, target: jax.Array
+) -> SupervisedParams:
+    """With the moments of a batch ``[B]`` and its state targets, of what is to be scaled."""
+    weight, values = batch.weights, {}
+    if config.normalise:
+        values = {"inputs": batch.obs, "targets": target}
+    if config.scale_reward:
+        values["rewards"] = batch.reward[:, None]
+    return replace(params, **{
+        name: _update_moments(getattr(params, name), some, weight) for name, some in values.items()
+    })  # fmt: skip
 
 
 def _over_members(work: Callable[..., Any], members: int) -> Callable[..., Any]:
