@@ -118,3 +118,15 @@ def test_imports_touch_nothing(tmp_path):
     environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
     environment["PYTHONPATH"] = str(PACKAGE.parent)
     subprocess.run([sys.executable, "-c", TOUCHES], cwd=tmp_path, env=environment, check=True)
+
+
+def test_one_loop_over_pieces():
+    """Whatever is played, any world of the user's included, the engine plays it."""
+    calls = {"piece": set(), "make_step": set(), "make_advance": set()}
+    for path in ROOMS:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call):
+                name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+                calls.get(name, set()).add(str(path.relative_to(EXPERIMENTS)))
+    assert calls["piece"] == {"engine/work.py"}
+    assert calls["make_step"] == {"study/arms.py"} and not calls["make_advance"]

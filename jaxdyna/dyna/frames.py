@@ -91,7 +91,7 @@ def parts(env: FrameStack, agent: Any, model: Any) -> Dyna:
     if isinstance(model, PixelConfig):
         learned, rare = pixels(shape, actions, model, count), rewarded
     else:
-        learned, rare = supervised(*stack, actions, model), ended
+        learned, rare = supervised(stack[0], actions, model), ended
     if isinstance(agent, ReinforceConfig):
         policy = reinforce(stack, actions, agent)
         return frame_dyna(env, policy, learned, shared=None, first=True, rare=rare)

@@ -257,7 +257,7 @@ class Host:
         for worlds, lanes in moves.items():
             if any(worlds.names):
                 raise RuntimeError("lanes of a VectorEnv are stepped together: leave none out")
-            played = worlds.step({lane: asked[n][8] for lane, n in lanes.items()})
+            played = worlds.step({lane: _action(asked[n]) for lane, n in lanes.items()})
             for lane, number in lanes.items():
                 row, (obs, reward, ends, truncated) = asked[number], played[lane]
                 terminated = bool(ends)
@@ -275,11 +275,12 @@ class Host:
         return answers
 
     def _made(self) -> Worlds:
-        made = self.make if isinstance(self.make, str) else getattr(self.make, "__name__", "make")
+        name = self.make if isinstance(self.make, str) else getattr(self.make, "__name__", "make")
         try:
-            return Worlds(gymnasium.make(made) if made is self.make else self.make())
+            made = gymnasium.make(self.make) if isinstance(self.make, str) else self.make()
+            return Worlds(made)
         except (gymnasium.error.Error, ValueError) as error:
-            raise ValueError(f"{made}: {error}") from error
+            raise ValueError(f"{name}: {error}") from error
 
     def _free(self) -> Worlds:
         """Worlds that nobody plays in, or new ones; where there may be no more, those that were
@@ -310,6 +311,10 @@ class Host:
         said, obs = zip(*answers, strict=True)
         packed = np.frombuffer(b"".join(said), np.uint32).reshape((*lead, 5))
         return packed, np.stack(obs).reshape((*lead, *self.first.space.shape))
+
+
+def _action(row: bytes) -> int:
+    return int.from_bytes(row[8:12], "little")
 
 
 def _digest(what: bytes, obs: np.ndarray) -> bytes:

@@ -155,7 +155,7 @@ def solved(*sections: Any) -> Any:
 def experiment(said: str, learner: str) -> engine.Experiment:
     """A world's experiment."""
     options = defaults(said, learner)
-    errors = report.WRONG if options.frames == 4 else {"model_error": "error of the next state"}
+    errors = {"model_error": "squared error of the next state over its change"} | report.WRONG
     return engine.Experiment(
         name="any-" + "".join(one if one.isalnum() else "-" for one in said).strip("-").lower(),
         title=said, presets={"lean": options}, arms=arms, rule=rule,
