@@ -28,6 +28,10 @@ def lake():
 
 def number():
     return 3
+
+class Board(Catch):
+    def observation_space(self, params):
+        return gymnasium.spaces.Box(0, 1, (self.rows, self.columns))
 """
 
 
@@ -60,6 +64,7 @@ def test_worlds_have_names(module):
     ("gymnasium:CartPol-v1", "Did you mean: `CartPole`"),
     ("gymnasium:Pendulum-v1", "Box(-2.0, 2.0, (1,), float32), not Discrete"),
     ("gymnasium:FrozenLake-v1", "FlattenObservation"),
+    ("worlds_of_mine:Board", "Board is seen as Box(0.0, 1.0, (10, 5)"),
     ("worlds_of_mine:number", "makes a int, no environment"),
 ])  # fmt: skip
 def test_bad_worlds_are_one_line(module, said, answer, capsys):

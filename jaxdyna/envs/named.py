@@ -7,7 +7,10 @@ from functools import cache, partial
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 from jaxdyna.envs.hosted import from_gymnasium
+from jaxdyna.types import check_part
 
 AT_ONCE = 4096
 """Episodes of a Gymnasium world that may be played at a time; worlds are made as needed."""
@@ -36,10 +39,20 @@ def named(said: str) -> Any:
     except TypeError as error:
         raise ValueError(f"{said}: {error}") from None
     if hasattr(made, "default_params"):
-        return made
+        return _checked(made)
     if not hasattr(made, "action_space") and not hasattr(made, "single_action_space"):
         raise ValueError(f"{said} makes a {type(made).__name__}, no environment: name another")
     return from_gymnasium(partial(make, **given), AT_ONCE)
+
+
+def _checked(env: Any) -> Any:
+    """The pure environment, where it is seen as `jaxdyna.dyna.frames.parts` takes it."""
+    check_part("the world", env, "reset", "step", "num_actions", "observation_space")
+    space = env.observation_space(env.default_params)
+    if len(space.shape) == 1 or (len(space.shape) == 3 and space.dtype == np.uint8):
+        return env
+    kinds = "a vector, or as frames of bytes [height, width, channels]"
+    raise ValueError(f"{type(env).__name__} is seen as {space}: let it be seen as {kinds}")
 
 
 def module_of(said: str) -> str:
