@@ -116,6 +116,7 @@ SMALL = ["--seeds", "1", "--episodes", "24", "--dyna.model-updates", "3", "--age
          "2", "--dyna.dream-episodes", "4", "--agent.batch", "8"]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_without_a_rule_a_report_has_what_needs_none(module, tmp_path, capsys):
     argv = ["--env", f"{module}:Small(rows=4)", *SMALL, "--arms", "dyna", "--out", "out"]
     assert any_world.main(argv) == 0

@@ -155,7 +155,8 @@ def solved(*sections: Any) -> Any:
 def experiment(said: str, learner: str) -> engine.Experiment:
     """A world's experiment."""
     options = defaults(said, learner)
-    errors = {"model_error": "squared error of the next state over its change"} | report.WRONG
+    vectors = isinstance(options.model, models.SupervisedConfig)
+    errors = {"model_error": "squared error of the next state over its change"}
     return engine.Experiment(
         name="any-" + "".join(one if one.isalnum() else "-" for one in said).strip("-").lower(),
         title=said, presets={"lean": options}, arms=arms, rule=rule,
@@ -163,7 +164,7 @@ def experiment(said: str, learner: str) -> engine.Experiment:
         sections=(
             solved(report.solving(rule)), report.learning_curves(rule), report.area,
             solved(report.thresholds(rule), frozen.frozen(rule)), frozen.at_steps,
-            solved(report.endings(rule)), report.behaviour(errors, 10),
+            solved(report.endings(rule)), report.behaviour(errors if vectors else report.WRONG, 10, log=vectors),
             report.arms_said(study.SAID), report.settings, report.spent,
         ),
     )  # fmt: skip

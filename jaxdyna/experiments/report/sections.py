@@ -225,9 +225,12 @@ def drawn(record: Any, arms: Sequence[str]) -> Mapping[str, Any]:
 @told
 def behaviour(
     record: Any, measures: Mapping[str, str], window: int, name: str = "behaviour.png",
-    said: str = "", arms: Sequence[str] = (),
+    said: str = "", arms: Sequence[str] = (), log: bool = False,
 ) -> str:  # fmt: skip
-    """What episodes are like against their number, a panel a curve, by the curve's name."""
+    """What episodes are like against their number, a panel a curve, by the curve's name; ``log``:
+    where what is drawn falls by orders of magnitude.
+    """
+    how = {"yscale": "log"} if log else {"ylim": (0, None)}
     shown = drawn(record, arms)
     panels = {
         title: {arm: curves[key] for arm, curves in shown.items() if key in curves}
@@ -235,7 +238,7 @@ def behaviour(
     }
     panels = {title: lines for title, lines in panels.items() if lines}
     axis = f"real episodes\n(running mean of {window})"
-    if not plots.bands(record.out / name, panels, axis, window=window, ylim=(0, None)):
+    if not plots.bands(record.out / name, panels, axis, window=window, **how):
         return ""
     return paragraphs(said, f"![{', '.join(panels)}]({name})")
 
