@@ -164,7 +164,8 @@ def experiment(said: str, learner: str) -> engine.Experiment:
         sections=(
             solved(report.solving(rule)), report.learning_curves(rule), report.area,
             solved(report.thresholds(rule), frozen.frozen(rule)), frozen.at_steps,
-            solved(report.endings(rule)), report.behaviour(errors if vectors else report.WRONG, 10, log=vectors),
+            solved(report.endings(rule)),
+            report.behaviour(errors if vectors else report.WRONG, 10, log=vectors),
             report.arms_said(study.SAID), report.settings, report.spent,
         ),
     )  # fmt: skip
