@@ -165,6 +165,13 @@ def test_equal_episodes_may_part():
     assert obs[0, 2] == obs[1, 2] == obs[2, 2] - 1
 
 
+def test_episodes_that_differ_in_spite_of_their_seed_stay_apart():
+    env, params = from_gymnasium(Moody, 8), HostedParams(7)
+    obs, state = jax.vmap(env.reset, (0, None))(jax.vmap(lambda _: key())(jnp.arange(2)), params)
+    after, *_ = jax.vmap(env.step, (None, 0, None, None))(key(), state, 0, params)
+    assert obs[0, 2] != obs[1, 2] and (after[:, 2] - obs[:, 2] == 2).all()
+
+
 def test_frames_are_seen_as_they_are():
     class Frames(Script):
         observation_space = spaces.Box(0, 255, (2, 2, 1), np.uint8)
