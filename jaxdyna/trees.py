@@ -90,6 +90,17 @@ def where(flag: jax.Array | bool, new: Any, old: Any) -> Any:
     return as_held(jax.tree.map(lambda new, old: jnp.where(flag, new, old), new, old), old)
 
 
+@jax.custom_batching.custom_vmap
+def anywhere(needed: jax.Array) -> jax.Array:
+    """Whether any of what is vmapped together needs it, a bool scalar; the same for all of them."""
+    return needed
+
+
+@anywhere.def_vmap
+def _anywhere_of(size: int, batched: list[bool], needed: jax.Array) -> tuple[jax.Array, bool]:
+    return anywhere(needed.any() if batched[0] else needed), False
+
+
 def difference(one: Any, other: Any, tolerance: float = 0) -> str:
     """Says where two trees differ first by more than a relative and absolute tolerance; nothing
     where they do not. NaN is equal to NaN.

@@ -183,7 +183,6 @@ BAD = {
     },
     # environments
     "reset with a legacy key": (lambda: play(key=jax.random.PRNGKey(0)), "jax.random.key"),
-    "FrameStack of vectors": (lambda: FrameStack(ENV), "pictures"),
     "FrameStack of no frames": (lambda: FrameStack(Maze(4), 0), "num_frames"),
     "FrameStack of a class": (lambda: FrameStack(Maze), "env"),
     "Replayed of a class": (lambda: Replayed(Maze, lambda key, start: start), "env"),

@@ -1,6 +1,7 @@
 """The Maze against a second implementation, and its exact optimum."""
 
 from functools import partial
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from maze_numpy import PlainMaze, best_return
 from parts import assert_same
 
 from jaxdyna import rollout
-from jaxdyna.envs import CartPole, FrameStack, Maze, MazeParams, MazeState
+from jaxdyna.envs import FrameStack, Maze, MazeParams, MazeState
 from jaxdyna.envs.maze import MOVES, WAIT, enlarge
 from jaxdyna.planners import solve_maze
 
@@ -204,9 +205,11 @@ def test_the_measured_means_of_the_rules():
     assert best.mean() == pytest.approx(167.8, abs=1.2)
 
 
-def test_only_pictures_are_stacked():
-    with pytest.raises(ValueError, match="observes pictures"):
-        FrameStack(CartPole())
+def test_only_pictures_and_vectors_are_stacked():
+    matrix = SimpleNamespace(shape=(3, 4))
+    world = SimpleNamespace(default_params=None, observation_space=lambda params: matrix)
+    with pytest.raises(ValueError, match="observe pictures"):
+        FrameStack(world)
     with pytest.raises(ValueError, match="num_frames is 0"):
         FrameStack(Maze(), 0)
 

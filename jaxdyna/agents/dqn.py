@@ -22,7 +22,7 @@ from jaxdyna.replay import prioritized
 from jaxdyna.replay.frames import FrameReplay
 from jaxdyna.replay.n_step import Window, take_window
 from jaxdyna.replay.prioritized import Prioritized
-from jaxdyna.trees import as_held, where
+from jaxdyna.trees import anywhere, as_held, where
 from jaxdyna.types import Agent, Key, Transition, check_transitions
 
 Values = Callable[[Any, jax.Array], jax.Array]
@@ -208,7 +208,7 @@ def _begin_anew(state: DQNState, begun: Callable[[], dict], every: int) -> DQNSt
     """With networks and optimiser as at the start, once they have made so many gradient steps."""
     due = state.steps >= every
     held = {name: getattr(state, name) for name in BEGUN}
-    new = jax.lax.cond(_anywhere(due), lambda: as_held(begun(), held), lambda: held)
+    new = jax.lax.cond(anywhere(due), lambda: as_held(begun(), held), lambda: held)
     return replace(state, **where(due, new, held))
 
 
@@ -331,16 +331,5 @@ def _where(needed: jax.Array, work: Callable[[], Learned], state: DQNState) -> L
     needs it.
     """
     idle = (state, {"loss": jnp.float32(0)})
-    done = jax.lax.cond(_anywhere(needed), lambda: as_held(work(), idle), lambda: idle)
+    done = jax.lax.cond(anywhere(needed), lambda: as_held(work(), idle), lambda: idle)
     return where(needed, done, idle)
-
-
-@jax.custom_batching.custom_vmap
-def _anywhere(needed: jax.Array) -> jax.Array:
-    """Whether any of the runs that are vmapped together needs it; the same for all of them."""
-    return needed
-
-
-@_anywhere.def_vmap
-def _anywhere_of(size: int, batched: list[bool], needed: jax.Array) -> tuple[jax.Array, bool]:
-    return _anywhere(needed.any() if batched[0] else needed), False

@@ -1,4 +1,6 @@
-"""The parts of a run on stacked frames, the same for every world that is seen so."""
+"""The parts of a run on stacked frames, the same for every world that is seen so, and for those
+that are seen as vectors, which are frames of one axis.
+"""
 
 from collections.abc import Callable
 from functools import cache
@@ -7,16 +9,35 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.agents import real_memory
+from jaxdyna.agents import ReinforceConfig, dqn, real_memory, reinforce
 from jaxdyna.dyna.config import DynaHParams
 from jaxdyna.dyna.parts import Dream, Dyna, DynaState, Metrics
-from jaxdyna.envs import Replayed, ReplayedParams, StackState
-from jaxdyna.models import LearnedEnvironment, LearnedParams, probability_rule, uncertain
-from jaxdyna.models.evaluation import frame_errors
+from jaxdyna.envs import FrameStack, Replayed, ReplayedParams, StackState
+from jaxdyna.models import (
+    LearnedEnvironment,
+    LearnedParams,
+    PixelConfig,
+    pixels,
+    probability_rule,
+    supervised,
+    uncertain,
+)
+from jaxdyna.models.evaluation import change_error, frame_errors
 from jaxdyna.replay import frames as frame_replay
 from jaxdyna.replay import memory
 from jaxdyna.replay.frames import FrameReplay
-from jaxdyna.types import Agent, DynamicsModel, Environment, Key, Transition
+from jaxdyna.types import Agent, DynamicsModel, Key, Transition
+
+
+def rewarded(rest: dict[str, jax.Array]) -> jax.Array:
+    """Which transitions of a `FrameReplay` cost or earn something, bool ``[2, capacity]``."""
+    return jnp.stack([rest["reward"] < 0, rest["reward"] > 0])
+
+
+def ended(rest: dict[str, jax.Array]) -> jax.Array:
+    """Which end an episode, and of the others which cost or earn something, ``[3, capacity]``."""
+    over = rest["terminated"]
+    return jnp.concatenate([over[None], rewarded(rest) & ~over])
 
 
 class Recorded(NamedTuple):
@@ -27,16 +48,17 @@ class Recorded(NamedTuple):
 
 
 def frame_dyna(
-    env: Environment, agent: Agent, model: DynamicsModel,
+    env: FrameStack, agent: Agent, model: DynamicsModel,
     watch: Callable[[Transition, Recorded, Any], Metrics] | None = None,
     shared: Callable[[Any], FrameReplay] | None = real_memory, first: bool = False,
+    rare: Callable[[dict[str, jax.Array]], jax.Array] = rewarded,
 ) -> Dyna:  # fmt: skip
     """Dyna whose dreams begin at any replayed stack of frames, or at any ``first`` one of a real
-    episode, and whose model sees rewards and punishments more often than they come. Both come from
-    the agent's own replay, where ``shared`` finds it in the agent's state; None: from one of the
-    run's own.
+    episode, and whose model sees what is ``rare`` more often than it comes. Both come from the
+    agent's own replay, where ``shared`` finds it in the agent's state; None: from one of the run's
+    own.
     """
-    kept = memory.frames(_rewarded, shared=shared)
+    kept = memory.frames(rare, env.num_frames, shared=shared)
 
     def params(state: DynaState, hparams: DynaHParams) -> LearnedParams:
         return learned_params(state, hparams, kept.of(state))
@@ -46,8 +68,34 @@ def frame_dyna(
 
     start = draw_first_stack if first else draw_stack
     learned = LearnedEnvironment(env, model.predict, start, probability_rule, uncertain)
-    dream, errors = Dream(learned, params), frame_errors(model.predict)
-    return Dyna(env, agent, model, dream, errors, watch, kept, record=record)
+    pictures = len(env.observation_space(env.default_params).shape) == 3
+    errors = frame_errors if pictures else change_error
+    dream, judge = Dream(learned, params), errors(model.predict)
+    return Dyna(env, agent, model, dream, judge, watch, kept, record=record)
+
+
+@cache
+def parts(env: FrameStack, agent: Any, model: Any) -> Dyna:
+    """The parts of ``dyna`` by the settings of its agent and its model; one object, and so one
+    program, for the same. Where REINFORCE acts, which remembers nothing, dreams begin where real
+    episodes did.
+
+    Args:
+        env: frames, or vectors, stacked.
+        agent: a `DQNConfig` or a `ReinforceConfig`.
+        model: a `PixelConfig` of frames, a `SupervisedConfig` of vectors.
+    """
+    count, actions = env.num_frames, env.num_actions
+    shape = env.env.observation_space(env.default_params).shape
+    stack = env.observation_space(env.default_params).shape
+    if isinstance(model, PixelConfig):
+        learned, rare = pixels(shape, actions, model, count), rewarded
+    else:
+        learned, rare = supervised(stack[0], actions, model), ended
+    if isinstance(agent, ReinforceConfig):
+        policy = reinforce(stack, actions, agent)
+        return frame_dyna(env, policy, learned, shared=None, first=True, rare=rare)
+    return frame_dyna(env, dqn(shape, actions, agent, count), learned, rare=rare)
 
 
 @cache
@@ -67,7 +115,9 @@ def true_dyna(dyna: Dyna, first: bool = False) -> Dyna:
 @cache
 def with_states(dyna: Dyna) -> Dyna:
     """With a replay in which states lie beside the frames, for `draw_state`."""
-    return dyna._replace(memory=memory.frames(_rewarded, keep=lambda recorded: recorded.state))
+    env: Any = dyna.env
+    kept = memory.frames(rewarded, env.num_frames, keep=lambda recorded: recorded.state)
+    return dyna._replace(memory=kept)
 
 
 def learned_params(state: DynaState, hparams: DynaHParams, start: Any) -> LearnedParams:
@@ -106,7 +156,3 @@ def _with_state(held: FrameReplay, number: jax.Array) -> tuple[jax.Array, Any]:
 
 def _first(held: FrameReplay) -> jax.Array:
     return (held.held & (held.time == 0)).astype(jnp.float32)
-
-
-def _rewarded(rest: dict[str, jax.Array]) -> jax.Array:
-    return jnp.stack([rest["reward"] < 0, rest["reward"] > 0])

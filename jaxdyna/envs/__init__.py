@@ -4,6 +4,7 @@ from jaxdyna.envs.atari import AtariParams, AtariPong, AtariState
 from jaxdyna.envs.cartpole import CartPole, CartPoleParams, CartPoleState
 from jaxdyna.envs.catch import Catch, CatchParams, CatchState
 from jaxdyna.envs.gymnasium import HostEnv, HostVectorEnv, register
+from jaxdyna.envs.hosted import Hosted, HostedParams, HostedState, from_gymnasium
 from jaxdyna.envs.maze import Maze, MazeParams, MazeState
 from jaxdyna.envs.pong import Pong
 from jaxdyna.envs.pong_rules import PongParams, PongState
@@ -12,9 +13,10 @@ from jaxdyna.envs.wrappers import Drawn, FrameStack, Replayed, ReplayedParams, S
 
 __all__ = [
     "CHANNELS", "AtariParams", "AtariPong", "AtariState", "CartPole", "CartPoleParams",
-    "CartPoleState", "Catch", "CatchParams", "CatchState", "Drawn", "FrameStack",
-    "HostEnv", "HostVectorEnv", "Maze", "MazeParams", "MazeState", "ObjectMasks", "Palette", "Pong",
-    "PongParams", "PongState", "Replayed", "ReplayedParams", "StackState", "register",
+    "CartPoleState", "Catch", "CatchParams", "CatchState", "Drawn", "FrameStack", "HostEnv",
+    "HostVectorEnv", "Hosted", "HostedParams", "HostedState", "Maze", "MazeParams", "MazeState",
+    "ObjectMasks", "Palette", "Pong", "PongParams", "PongState", "Replayed", "ReplayedParams",
+    "StackState", "from_gymnasium", "register",
 ]  # fmt: skip
 
 register("jaxdyna/CartPole-v0", CartPole(), CartPoleParams(max_steps=200), reward_threshold=195.0)

@@ -1,4 +1,4 @@
-"""The bridge to Gymnasium, and the only module that imports it.
+"""The bridge to Gymnasium; only it and the way back, `jaxdyna.envs.hosted`, import that.
 
 `HostEnv` and `HostVectorEnv` play any of this package's environments, a learned one included, from
 the host, so that other libraries can train in it.

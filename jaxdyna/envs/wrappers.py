@@ -46,25 +46,25 @@ class StackState:
 @dataclass(frozen=True)
 class FrameStack(Wrapper):
     """An environment whose observation is its last frames, stacked on the channels, the newest
-    last; an episode begins with its first frame repeated.
+    last; an episode begins with its first frame repeated. A vector is a frame of one axis.
     """
 
-    env: Environment = setting(help="Observes frames [H, W, C].")
+    env: Environment = setting(help="Observes frames [H, W, C], or vectors.")
     num_frames: int = setting(4, "Frames in an observation.", at_least=1)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         shape = self.env.observation_space(self.env.default_params).shape
-        if len(shape) != 3:
+        if len(shape) not in (1, 3):
             raise ValueError(
-                f"{type(self.env).__name__} observes arrays of shape {shape}: stack the frames of "
-                "an environment that observes pictures [height, width, channels]"
+                f"{type(self.env).__name__} observes arrays of shape {shape}: let it observe "
+                "pictures [height, width, channels], or vectors"
             )
 
     def reset(self, key: Key, params: Any) -> tuple[jax.Array, StackState]:
         """Starts an episode."""
         frame, state = self.env.reset(key, params)
-        obs = jnp.tile(frame, (1, 1, self.num_frames))
+        obs = jnp.concatenate([frame] * self.num_frames, axis=-1)
         return obs, StackState(state, obs)
 
     def step(

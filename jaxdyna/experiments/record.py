@@ -6,7 +6,6 @@ The lab book is a folder: ``records.toml`` says what each record asks and which 
 before they were made. A record is the folder of its name.
 """
 
-import importlib
 import shlex
 import signal
 import subprocess
@@ -25,7 +24,7 @@ from rich.table import Table
 from jaxdyna import fields
 from jaxdyna.experiments.engine import Record, Results, cli, folders, storage
 from jaxdyna.experiments.engine.experiment import chosen
-from jaxdyna.experiments.engine.record import recorded, results_of, write_report
+from jaxdyna.experiments.engine.record import command_of, recorded, results_of, write_report
 from jaxdyna.experiments.engine.session import Session, flags_between, identity_of, prepared
 from jaxdyna.experiments.report.summaries import compare
 from jaxdyna.experiments.report.tables import interval, markdown_table, number
@@ -95,11 +94,11 @@ class Plan:
     def shard(self, number: int, of: int) -> Session:
         """What the command of a part of it comes to; one that is none today ends the process."""
         module, *flags = shlex.split(self.command)
-        prog = f"python -m {PACKAGE}.{module}"
         try:
-            parts = importlib.import_module(f"{PACKAGE}.{module}").PARTS
+            parts, flags, prog = command_of(f"{PACKAGE}.{module}", *flags)
         except (ImportError, AttributeError):
-            raise ValueError(f"{self.name}: there is no such experiment: {prog}") from None
+            said = f"python -m {PACKAGE}.{module}"
+            raise ValueError(f"{self.name}: there is no such experiment: {said}") from None
         return prepared(parts, [*flags, "--shard", f"{number}/{of}"], prog)
 
 

@@ -44,6 +44,10 @@ class SupervisedConfig(Checked):
     normalise: bool = setting(
         False, "Scale inputs and state targets by their running mean and standard deviation."
     )
+    scale_reward: bool = setting(
+        False, "Likewise rewards: where they are far from 1, their errors else hide the state's, "
+        "or are hidden by them.",
+    )  # fmt: skip
     spread: float = setting(
         1.0,
         "How many standard deviations normalise maps to 1. More makes the state's errors smaller "
@@ -93,6 +97,7 @@ class SupervisedParams:
     network: Any
     inputs: Moments
     targets: Moments
+    rewards: Moments | None
 
 
 def supervised(
@@ -133,9 +138,9 @@ def supervised(
     def init(key: Key, hparams: SupervisedHParams) -> Trained:
         zeros = jnp.zeros(obs_size + action_size)
         weights = jax.vmap(network.init, (0, None))(jax.random.split(key, config.ensemble), zeros)
-        still = Moments(jnp.zeros(obs_size), jnp.ones(obs_size), jnp.int32(0))
+        still, rewards = _still(obs_size), _still(1) if config.scale_reward else None
         opt_state = config.optimizer(hparams.learning_rate).init(weights)
-        return Trained(SupervisedParams(weights, still, still), opt_state)
+        return Trained(SupervisedParams(weights, still, still, rewards), opt_state)
 
     def predict(
         params: SupervisedParams, obs: jax.Array, action: jax.Array, key: Key
@@ -146,6 +151,8 @@ def supervised(
         )(params.network)
         target = scaled * spread * params.targets.std + params.targets.mean
         next_obs = obs + target if config.delta else target
+        if params.rewards is not None:
+            reward = reward * params.rewards.std[0] + params.rewards.mean[0]
         said = next_obs, reward, jax.nn.sigmoid(logit)
         state, reward, end = _drawn(key, said) if config.one_member else _means(said)
         return Prediction(
@@ -164,19 +171,14 @@ def supervised(
         batch, weight = batch.blanked(), batch.weights
         chex.assert_shape([batch.obs, batch.next_obs], (None, obs_size))
         target = raw_target(batch.obs, batch.next_obs)
-        params = state.params
-        if config.normalise:
-            params = replace(
-                params,
-                inputs=_update_moments(params.inputs, batch.obs, weight),
-                targets=_update_moments(params.targets, target, weight),
-            )
+        params = _noted(config, state.params, batch, target)
         scaled_target = (target - params.targets.mean) / (spread * params.targets.std)
+        reward = _scaled(params.rewards, batch.reward)
 
         def member_loss(weights, row):
             output = member(weights, params, batch.obs[row], batch.action[row])
             losses = jax.vmap(transition_loss)(
-                *output, scaled_target[row], batch.reward[row], batch.terminated[row]
+                *output, scaled_target[row], reward[row], batch.terminated[row]
             )
             total = (weight[row] * losses).sum()
             mean = total / jnp.maximum(weight[row].sum(), 1e-6)
@@ -195,6 +197,28 @@ def supervised(
         return where((weight > 0).any(), new, state), {"loss": loss}
 
     return DynamicsModel(init, predict, update, num_actions, SupervisedHParams)
+
+
+def _still(size: int) -> Moments:
+    return Moments(jnp.zeros(size), jnp.ones(size), jnp.int32(0))
+
+
+def _scaled(moments: Moments | None, reward: jax.Array) -> jax.Array:
+    return reward if moments is None else (reward - moments.mean[0]) / moments.std[0]
+
+
+def _noted(
+    config: SupervisedConfig, params: SupervisedParams, batch: Transition, target: jax.Array
+) -> SupervisedParams:
+    """With the moments of a batch ``[B]`` and its state targets, of what is to be scaled."""
+    weight, values = batch.weights, {}
+    if config.normalise:
+        values = {"inputs": batch.obs, "targets": target}
+    if config.scale_reward:
+        values["rewards"] = batch.reward[:, None]
+    return replace(params, **{
+        name: _update_moments(getattr(params, name), some, weight) for name, some in values.items()
+    })  # fmt: skip
 
 
 def _over_members(work: Callable[..., Any], members: int) -> Callable[..., Any]:

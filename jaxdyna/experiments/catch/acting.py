@@ -1,12 +1,10 @@
 """Learning to catch: settings, arms, report."""
 
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any, ClassVar, Literal, Self
 
-from jaxdyna.agents import DQNConfig, DQNHParams, dqn
+from jaxdyna.agents import DQNConfig, DQNHParams
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
-from jaxdyna.dyna.frames import frame_dyna, true_dyna
 from jaxdyna.envs import Catch, CatchParams, FrameStack
 from jaxdyna.experiments.engine import Experiment, Options
 from jaxdyna.experiments.report import frozen
@@ -14,7 +12,7 @@ from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.fields import LARGEST, changed, setting
-from jaxdyna.models import PixelConfig, PixelHParams, pixels
+from jaxdyna.models import PixelConfig, PixelHParams
 from jaxdyna.networks import GlimpseQ, LocalDynamics, LocalReward
 from jaxdyna.rollout import rollout
 from jaxdyna.statistics import SolveRule, mean_of_runs
@@ -74,17 +72,10 @@ def rule(options: CatchOptions) -> SolveRule:
     return SolveRule(50, 0.9)
 
 
-@cache
-def parts(game: Catch, agent: DQNConfig, model: PixelConfig) -> Dyna:
-    """The parts of ``dyna``: one object, and so one program, for the same settings."""
-    env, shape, actions = FrameStack(game), (game.rows, game.columns, 3), game.num_actions
-    return frame_dyna(env, dqn(shape, actions, agent), pixels(shape, actions, model))
-
-
 def agent_of(options: CatchOptions) -> DQNConfig:
-    """DQN's counts and network, with room for what a run can add to its replays and no more."""
+    """DQN's counts and network."""
     network = GlimpseQ(Catch().num_actions, size=options.glimpse, hidden=options.hidden)
-    return replace(study.sized(options.agent, options.dyna), network=network)
+    return replace(options.agent, network=network)
 
 
 def model_of(options: CatchOptions) -> PixelConfig:
@@ -96,13 +87,10 @@ def model_of(options: CatchOptions) -> PixelConfig:
 
 def arms(options: CatchOptions) -> dict[str, study.Made]:
     """The standard arms."""
-    game = Catch(options.rows, options.columns, frames=True)
-    agent, model = agent_of(options), model_of(options)
-    dyna = parts(game, agent, model)
-    return study.standard_arms(
-        dyna, options.dyna, options.hparams, true_dyna(dyna),
+    game = FrameStack(Catch(options.rows, options.columns, frames=True))
+    return study.world_arms(
+        game, agent_of(options), model_of(options), options.dyna, options.hparams,
         study.Hooks(judge, piece=10, block=options.block),
-        busier=parts(game, study.busy(agent, options.dyna), model).agent,
     )  # fmt: skip
 
 

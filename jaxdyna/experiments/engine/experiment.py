@@ -50,6 +50,11 @@ class Options(fields.Checked):
         """With what other settings decide filled in. A subclass says how."""
         return self
 
+    @property
+    def home(self) -> str:
+        """The module by which it is told, with what lies beside it, whether code has changed."""
+        return type(self).__module__
+
 
 class Record(NamedTuple):
     """All that a report may read.
@@ -78,7 +83,7 @@ class Experiment:
         arms: from options to what makes each arm, by its name, or ``NAME@SETTING`` where there are
             several of one; only those asked for are made.
         quick: by preset, what ``--quick`` changes.
-        rule: when a run counts as solved; None where nothing is solved.
+        rule: when a run counts as solved; None where nothing is solved, or it gives None.
         describe: ``(options, curves) -> entries`` of an arm in ``results.json``.
         measures: by name ``(options, say) -> JSON``: host work without runs.
         sections: ``(record) -> Markdown``: the report's, in their order; each draws its figures.
@@ -91,7 +96,7 @@ class Experiment:
     presets: Mapping[str, Any]
     arms: Callable[[Any], Mapping[str, Callable[[], Arm]]]
     quick: Mapping[str, Overrides] = field(default_factory=dict)
-    rule: Callable[[Any], SolveRule] | None = None
+    rule: Callable[[Any], SolveRule | None] | None = None
     describe: Sequence[Callable[[Any, Curves], Results]] = ()
     measures: Mapping[str, Callable[[Any, Say], Any]] = field(default_factory=dict)
     sections: Sequence[Callable[[Record], str]] = ()

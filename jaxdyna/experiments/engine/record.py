@@ -26,6 +26,22 @@ it. Settings that are added do not: they take their defaults where they are not 
 """
 
 
+def command_of(module: str, *flags: str) -> tuple[Sequence[Experiment | Study], list[str], str]:
+    """What a command of so many flags plays, flags that are left, and the command without these:
+    the module's ``PARTS``, or what its function ``command_parts`` makes of the flags, or else its
+    own experiments.
+
+    Raises:
+        ImportError: where there is no such module.
+        ValueError: where flags are wrong.
+    """
+    found = importlib.import_module(module)
+    if hasattr(found, "command_parts"):
+        return found.command_parts(flags)
+    own = [each for each in vars(found).values() if isinstance(each, Experiment | Study)]
+    return getattr(found, "PARTS", own), list(flags), f"python -m {module}"
+
+
 def results_of(
     experiment: Experiment, options: Any, every: Sequence[Entry], curves: Mapping[str, Curves],
     about: Results,
@@ -76,16 +92,15 @@ def parts_of(results: Results) -> Sequence[Experiment | Study]:
     Raises:
         ValueError: where it cannot be imported.
     """
-    name = results.get("module") or shlex.split(results["command"])[2]
+    words = [word for word in shlex.split(results["command"]) if word != "-m"]
+    name = results.get("module") or words[1]
     try:
-        module = importlib.import_module(name)
+        return command_of(name, *words[2:])[0]
     except ImportError as error:
         raise ValueError(
             f"the experiment {results['part']} is in the module {name}, which cannot be imported "
             f"({error}): put its folder on PYTHONPATH, or give the experiment to jaxdyna.load"
         ) from None
-    own = [each for each in vars(module).values() if isinstance(each, Experiment | Study)]
-    return getattr(module, "PARTS", own)
 
 
 def recorded(

@@ -214,7 +214,7 @@ class Session:
         self.measured: dict[str, Any] = {}
         self.earlier_s = 0.0
         self.others: Results = {}  # what was played by other code or versions
-        homes = {type(self.options).__module__, self.experiment.arms.__module__}
+        homes = {self.options.home, self.experiment.arms.__module__}
         self.made = storage.made_with(homes)
         if not self.seeds:
             raise ValueError("--shard has more parts than there are --seeds: give fewer")
@@ -358,6 +358,8 @@ class Session:
         if rule is None or stop is None:
             return None
         solves = rule(self.options)
+        if solves is None:
+            return None
 
         def over(curves: work.Curves) -> np.ndarray:
             played = curves["real_return"].shape[1]

@@ -10,11 +10,20 @@ import numpy as np
 from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report.sections import Rule, drawn, told
 from jaxdyna.experiments.report.summaries import Curves
-from jaxdyna.experiments.report.tables import Results, markdown_table, median, paragraphs, per_seed
+from jaxdyna.experiments.report.tables import (
+    Results,
+    markdown_table,
+    median,
+    paragraphs,
+    per_seed,
+    with_interval,
+)
 from jaxdyna.statistics import SolveRule, mean_of_runs, summarise
 
 FIRST = 50
 """Real steps before the first snapshot; each other one comes after twice as many as the last."""
+SHOWN = 5
+"""Snapshots in a table, the last ones."""
 POINTS = 200
 """Of the figure's lines."""
 
@@ -60,7 +69,8 @@ def describe(rule: Rule) -> Callable[[Any, Curves], Results]:
     def said(options: Any, curves: Curves) -> Results:
         if "frozen_return" not in curves or not np.isfinite(curves["frozen_return"]).any():
             return {}
-        asked = threshold(curves, rule(options))
+        solves = rule(options)
+        asked = threshold(curves, solves) if solves else np.inf
         steps, returns = _evaluated(curves)
         good = returns >= asked
         first = np.where(good.any(1), np.take_along_axis(
@@ -68,7 +78,7 @@ def describe(rule: Rule) -> Callable[[Any, Curves], Results]:
         played = np.nansum(curves["real_length"], axis=1)
         at = snapshots(steps[np.isfinite(steps)].max())
         return {"frozen": {
-            "threshold": asked,
+            "threshold": asked if solves else None,
             "real_steps_to_solve": summarise(first, at_least=played),
             "snapshots": {
                 str(step): _worth(column) | {"solved": int((column >= asked).sum())}
@@ -77,6 +87,24 @@ def describe(rule: Rule) -> Callable[[Any, Curves], Results]:
         }}  # fmt: skip
 
     return said
+
+
+def at_steps(record: Any) -> str:
+    """What the policies are worth after so many real steps; empty where none was evaluated."""
+    arms = {name: arm["frozen"]["snapshots"] for name, arm in record.results["arms"].items()
+            if "frozen" in arm}  # fmt: skip
+    if not arms:
+        return ""
+    steps = sorted({step for arm in arms.values() for step in arm}, key=int)[-SHOWN:]
+    rows = [
+        [name, *(with_interval(arm[step], 1) if step in arm else "-" for step in steps)]
+        for name, arm in arms.items()
+    ]  # fmt: skip
+    return paragraphs(
+        "The mean return of the policy as it was after so many real steps, greedy, in new episodes "
+        "(95% interval; -: some run had none yet):",
+        markdown_table(["arm", *(f"{int(step):,}" for step in steps)], rows),
+    )
 
 
 def _worth(returns: np.ndarray) -> Results:

@@ -68,7 +68,7 @@ FIG5 = {
 
 
 def learning_curves(
-    path: Path, returns: Mapping[str, np.ndarray], threshold: float,
+    path: Path, returns: Mapping[str, np.ndarray], threshold: float | None,
     solved_at: Mapping[str, np.ndarray], begins: Mapping[str, int], window: int,
     what: str = "return",
 ) -> None:  # fmt: skip
@@ -78,8 +78,8 @@ def learning_curves(
     Args:
         path: the PNG.
         returns: by arm.
-        threshold: the line that a run's mean has to reach.
-        solved_at: by arm ``[seeds]``, infinity where unsolved.
+        threshold: the line that a run's mean has to reach; None: nothing is solved.
+        solved_at: by arm ``[seeds]``, infinity where unsolved; not of arms of which it is not said.
         begins: by what begins in all arms that have it, the real episode.
         window: episodes in every line's running mean.
         what: the returns are, on the axis.
@@ -87,12 +87,13 @@ def learning_curves(
     figure, panel = subplots(figsize=(WIDTH, 5.0))
     early = any(np.isnan(values).any() for values in returns.values())
     for (name, values), look in zip(returns.items(), looks([*returns]), strict=True):
-        at = solved_at[name]
-        said = f"{tables.label(name)}: {np.isfinite(at).sum()}/{len(at)} solved"
-        said += f", mean {at.mean():.0f}" if np.isfinite(at).all() else ""
+        at, said = solved_at.get(name, np.zeros(0)), tables.label(name)
+        said += f": {np.isfinite(at).sum()}/{len(at)} solved" if at.size else ""
+        said += f", mean {at.mean():.0f}" if at.size and np.isfinite(at).all() else ""
         band(panel, carried(running_mean(values, window)), look, said)
-    panel.axhline(threshold, color=FAINT, linewidth=1, linestyle=DASHED,
-                  label=f"solved: {threshold:g}")  # fmt: skip
+    if threshold is not None:
+        panel.axhline(threshold, color=FAINT, linewidth=1, linestyle=DASHED,
+                      label=f"solved: {threshold:g}")  # fmt: skip
     for said, episode in begins.items():
         panel.axvline(episode, color=FAINT, linewidth=1.2, linestyle=DOTTED,
                       label=f"{said}: {episode}")  # fmt: skip

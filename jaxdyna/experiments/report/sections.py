@@ -13,10 +13,11 @@ from jaxdyna import fields
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.summaries import HELD_EPISODES, break_even, comparison, comparisons
 from jaxdyna.experiments.report.tables import Results, markdown_table, paragraphs, runs
-from jaxdyna.statistics import FEW, SolveRule, episodes_to_solve, mean_of_runs, summarise
+from jaxdyna.statistics import FEW, episodes_to_solve, mean_of_runs, summarise
 
 Section = Callable[[Any], str]
-Rule = Callable[[Any], SolveRule]
+Rule = Callable[[Any], Any]
+"""Of options their `SolveRule`, or None."""
 P = ParamSpec("P")
 COUNTED = (
     "The rule is the same for all arms and counts every real episode. An unsolved run is never "
@@ -177,19 +178,21 @@ def learning_curves(
     record: Any, rule: Rule, name: str = "returns.png", said: str = "return against real episodes",
     what: str = "return", window: int | None = None, arms: Sequence[str] = (),
 ) -> str:  # fmt: skip
-    """Real return against real episodes, all arms in one panel, and the share of runs that have
-    solved.
+    """Real return against real episodes, all arms in one panel, and where there is a rule the share
+    of runs that have solved.
     """
     solves, returns, at = rule(record.options), {}, {}
     for arm, curves in drawn(record, arms).items():
-        whole = curves[solves.share_of] if solves.share_of else 1
+        whole = curves[solves.share_of] if solves and solves.share_of else 1
         returns[arm] = curves["real_return"] / whole
-        at[arm] = episodes_to_solve(solves.score(curves), solves)
+        if solves:
+            at[arm] = episodes_to_solve(solves.score(curves), solves)
+    asked, few = (solves.threshold, min(solves.window, 20)) if solves else (None, 20)
     first, kinds = record.options.dyna.num_real_first, {_begun(arm) for arm in returns} - {""}
-    plots.learning_curves(record.out / name, returns, solves.threshold, at,
+    plots.learning_curves(record.out / name, returns, asked, at,
                           dict.fromkeys([" and ".join(sorted(kinds))] if kinds else [], first),
-                          window or min(solves.window, 20), what)  # fmt: skip
-    return paragraphs(f"![{said}]({name})", solved_share(rule)(record))
+                          window or few, what)  # fmt: skip
+    return paragraphs(f"![{said}]({name})", solved_share(rule)(record) if solves else "")
 
 
 def _begun(arm: str) -> str:
@@ -222,9 +225,12 @@ def drawn(record: Any, arms: Sequence[str]) -> Mapping[str, Any]:
 @told
 def behaviour(
     record: Any, measures: Mapping[str, str], window: int, name: str = "behaviour.png",
-    said: str = "", arms: Sequence[str] = (),
+    said: str = "", arms: Sequence[str] = (), log: bool = False,
 ) -> str:  # fmt: skip
-    """What episodes are like against their number, a panel a curve, by the curve's name."""
+    """What episodes are like against their number, a panel a curve, by the curve's name; ``log``:
+    where what is drawn falls by orders of magnitude.
+    """
+    how = {"yscale": "log"} if log else {"ylim": (0, None)}
     shown = drawn(record, arms)
     panels = {
         title: {arm: curves[key] for arm, curves in shown.items() if key in curves}
@@ -232,7 +238,7 @@ def behaviour(
     }
     panels = {title: lines for title, lines in panels.items() if lines}
     axis = f"real episodes\n(running mean of {window})"
-    if not plots.bands(record.out / name, panels, axis, window=window, ylim=(0, None)):
+    if not plots.bands(record.out / name, panels, axis, window=window, **how):
         return ""
     return paragraphs(said, f"![{', '.join(panels)}]({name})")
 

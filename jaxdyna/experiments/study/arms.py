@@ -8,7 +8,10 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 
+from jaxdyna.agents import DQNConfig
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, make_init, make_step
+from jaxdyna.dyna.frames import parts, true_dyna
+from jaxdyna.envs import FrameStack, Hosted
 from jaxdyna.experiments.engine import Arm, Runs, Trained, Work
 from jaxdyna.fields import LARGEST, SettingError
 from jaxdyna.sweep import RUNS
@@ -131,6 +134,22 @@ def standard_arms(
         arms["more_updates"] = make(dyna._replace(diagnose=None), config, all_real(hparams))
         arms["max_updates"] = make(alone._replace(agent=busier), config, hparams)
     return arms
+
+
+def world_arms(
+    env: FrameStack, agent: Any, model: Any, config: DynaConfig, hparams: DynaHParams, hooks: Hooks
+) -> dict[str, Made]:  # fmt: skip
+    """The standard arms in a world that is seen as frames or vectors, for the arguments see
+    `jaxdyna.dyna.frames.parts`: those of more updates of a DQN alone, the oracle where the world's
+    states can be had again.
+    """
+    busier, replays = None, isinstance(agent, DQNConfig)
+    if replays:
+        agent = sized(agent, config)
+        busier = parts(env, busy(agent, config), model).agent
+    dyna = parts(env, agent, model)
+    true = None if isinstance(env.env, Hosted) else true_dyna(dyna, first=not replays)
+    return standard_arms(dyna, config, hparams, true, hooks, busier=busier)
 
 
 def all_real(hparams: DynaHParams) -> DynaHParams:

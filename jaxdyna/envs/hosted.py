@@ -1,0 +1,336 @@
+"""Gymnasium's worlds as environments: the bridge's other direction.
+
+Episodes are played on the host, by one call for a whole batch. What is threaded through a program
+holds no world but the name of where its episode stands: a digest of the seed and of all that has
+happened since. The host keeps the worlds by these names. So the same state and action give the same
+answer, whoever asks and in whatever order, and equal episodes (a swept setting's have the same
+seeds) may change places.
+"""
+
+import threading
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import blake2b
+from struct import Struct
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+
+from jaxdyna.envs.gymnasium import Discrete
+from jaxdyna.fields import check_counts, setting
+from jaxdyna.trees import anywhere, where
+from jaxdyna.types import Key
+
+Make = str | Callable[[], gymnasium.Env | VectorEnv]
+"""An id for ``gymnasium.make``, or what makes an environment or a vector of them."""
+UNLIMITED = 1000
+"""Steps of an episode of a world that says no limit of its own."""
+ANSWER = Struct("<8sfII")
+"""The name of where an episode stands, the reward, whether it terminated, whether it was truncated.
+"""
+WRAP = "give a function that makes it with a wrapper around it, such as gymnasium.wrappers."
+
+
+def from_gymnasium(make: Make, num_envs: int) -> "Hosted":
+    """A Gymnasium world as an `jaxdyna.types.Environment`.
+
+    An episode begins with ``reset(seed=f(key))`` and so depends on its own key alone: where the
+    world is deterministic by its seed, a resumed run equals the uninterrupted one (checkpoints lie
+    between episodes), and `jaxdyna.testing.check_environment` passes; of another world it says that
+    reset or step differs. Such a world can be played, but no run of it can be had again. A state
+    cannot be restored once the world has gone on: dreams cannot begin in it, there is no oracle.
+
+    Lanes of a `VectorEnv` are begun together, with a seed each, whatever its autoreset mode, and
+    played together; one whose episode is over is left alone until the last of them is.
+
+    Args:
+        make: an id, or a callable that returns an ``Env`` or a ``VectorEnv``. Observations are
+            vectors, or frames of bytes ``[height, width, channels]``; actions are discrete.
+        num_envs: episodes that are played at a time, at the most; worlds are made as they are
+            needed. Of runs that are computed together: of all of them.
+
+    Raises:
+        ValueError: where there is no such world, or its spaces are others.
+    """
+    check_counts(num_envs=num_envs)
+    env = Hosted(make, num_envs)
+    assert env.host.first
+    return env
+
+
+@struct.dataclass
+class HostedParams:
+    """What can be swept."""
+
+    max_steps: int = setting(
+        UNLIMITED, "Steps until truncation; what the world itself cuts off is truncated too.",
+        at_least=1,
+    )  # fmt: skip
+
+
+@struct.dataclass
+class HostedState:
+    """Where an episode stands.
+
+    Attributes:
+        name: uint32 ``[2]``, by which the host knows it.
+        time: int32, steps taken.
+        obs: what was seen last.
+        terminated: whether the world has ended.
+        truncated: whether it was broken off.
+    """
+
+    name: jax.Array
+    time: jax.Array
+    obs: jax.Array
+    terminated: jax.Array
+    truncated: jax.Array
+
+
+@dataclass(frozen=True)
+class Hosted(Discrete):
+    """What `from_gymnasium` returns."""
+
+    make: Make
+    num_envs: int
+
+    @cached_property
+    def host(self) -> "Host":
+        """The worlds."""
+        return Host(self.make, self.num_envs)
+
+    @property
+    def default_params(self) -> HostedParams:
+        """With the world's own time limit, or without one `UNLIMITED`."""
+        return HostedParams(
+            getattr(self.host.first.env.spec, "max_episode_steps", None) or UNLIMITED
+        )
+
+    @property
+    def num_actions(self) -> int:  # type: ignore[override]
+        """The number of discrete actions; the first is 0, whatever the world calls it."""
+        return int(self.host.first.actions.n)
+
+    @property
+    def reward_threshold(self) -> float | None:
+        """The mean return at which Gymnasium calls it solved; None where it does not say."""
+        return getattr(self.host.first.env.spec, "reward_threshold", None)
+
+    def observation_space(self, params: HostedParams) -> spaces.Box:
+        """The world's; of vectors float32."""
+        return self.host.first.space
+
+    def reset(self, key: Key, params: HostedParams) -> tuple[jax.Array, HostedState]:
+        """Begins an episode."""
+        said, obs = self._called(self.host.begin, jax.random.bits(key, dtype=jnp.uint32) >> 1)
+        no = jnp.bool_(False)
+        return obs, HostedState(said[:2], jnp.int32(0), obs, no, no)
+
+    def step(
+        self, key: Key, state: HostedState, action: jax.Array, params: HostedParams
+    ) -> tuple[jax.Array, HostedState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+        """One step of the world. After the end nothing moves and nothing is paid, and where that is
+        so of all that are computed together the host is not called.
+        """
+        over = state.terminated | state.truncated
+        flags = jnp.stack([action, state.time + 1 >= params.max_steps, over]).astype(jnp.uint32)
+        asked, idle = jnp.concatenate([state.name, flags]), (jnp.zeros(5, jnp.uint32), state.obs)
+        said, obs = jax.lax.cond(
+            anywhere(~over), lambda: self._called(self.host.step, asked), lambda: idle
+        )
+        new = HostedState(said[:2], state.time + 1, obs, said[3] == 1, said[4] == 1)
+        new = where(over, state, new)
+        reward = jnp.where(over, 0, jax.lax.bitcast_convert_type(said[2], jnp.float32))
+        return new.obs, new, reward, new.terminated, new.truncated, {}
+
+    def _called(self, host: Callable, asked: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """What the host answers: `ANSWER`, and what is seen. One array is asked, since each costs
+        as much as a step of a small world.
+        """
+        seen = jax.ShapeDtypeStruct(self.host.first.space.shape, self.host.first.space.dtype)
+        shapes = jax.ShapeDtypeStruct((5,), jnp.uint32), seen
+        return jax.pure_callback(host, shapes, asked, vmap_method="broadcast_all")
+
+
+class Worlds:
+    """A Gymnasium environment, or a vector of them, as lanes that are played together.
+
+    Attributes:
+        names: where the episode of each lane stands, None where there is none or it is over.
+    """
+
+    def __init__(self, env: Any):
+        self.env, self.vector = env, isinstance(env, VectorEnv)
+        prefix = "single_" if self.vector else ""
+        self.actions = getattr(env, f"{prefix}action_space")
+        self.space = _observed(getattr(env, f"{prefix}observation_space"))
+        if not isinstance(self.actions, spaces.Discrete):
+            raise ValueError(f"actions are {self.actions}, not Discrete: {WRAP}TransformAction")
+        self.mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
+        self.names: list[bytes | None] = [None] * (env.num_envs if self.vector else 1)
+
+    def reset(self, seeds: Sequence[int]) -> list[np.ndarray]:
+        """First observations of as many lanes as there are seeds."""
+        if not self.vector:
+            return [self._seen(self.env.reset(seed=seeds[0])[0])]
+        others = [0] * (len(self.names) - len(seeds))
+        return list(self._seen(self.env.reset(seed=[*seeds, *others])[0]))[: len(seeds)]
+
+    def step(self, actions: Mapping[int, int]) -> list[tuple[np.ndarray, float, bool, bool]]:
+        """What a step brought each lane, ``obs, reward, terminated, truncated``; those without an
+        action are given any.
+        """
+        first = int(self.actions.start)
+        if not self.vector:
+            obs, *ends, _ = self.env.step(first + actions[0])
+            return [(self._seen(obs), *ends)]
+        chosen = [first + actions.get(lane, 0) for lane in range(len(self.names))]
+        obs, reward, terminated, truncated, info = self.env.step(np.array(chosen))
+        rows, over = list(self._seen(obs)), np.asarray(terminated | truncated)
+        if self.mode == AutoresetMode.SAME_STEP:  # what is seen is of a new episode
+            for lane in np.flatnonzero(over):
+                rows[lane] = self._seen(info["final_obs"][lane])
+        if self.mode == AutoresetMode.DISABLED and over.any():  # or the others could not go on
+            self.env.reset(seed=[0] * len(rows), options={"reset_mask": over})
+        return list(zip(rows, reward, terminated, truncated, strict=True))
+
+    def _seen(self, obs: Any) -> np.ndarray:
+        return np.array(obs, self.space.dtype)
+
+
+class Host:
+    """All worlds of an environment, for any number of threads."""
+
+    def __init__(self, make: Make, num_envs: int):
+        self.make, self.num_envs, self.lock = make, num_envs, threading.Lock()
+        self.first = self._made()
+        self.every = [self.first]  # what was begun longest ago first
+        self.standing: dict[bytes, list[tuple[Worlds, int]]] = {}
+        self.said: dict[bytes, tuple[bytes, np.ndarray]] = {}
+
+    def begin(self, seeds: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Episodes of these seeds ``[...]``: `ANSWER`, whose names count, and what is seen."""
+        flat, lanes = np.asarray(seeds).ravel().tolist(), len(self.first.names)
+        answers = []
+        with self.lock:
+            for some in (flat[at : at + lanes] for at in range(0, len(flat), lanes)):
+                worlds = self._free()
+                for lane, obs in enumerate(worlds.reset(some)):
+                    name = _digest(some[lane].to_bytes(4), obs)
+                    self._stand(worlds, lane, name)
+                    answers.append((ANSWER.pack(name, 0, False, False), obs))
+        return self._arrays(answers, seeds.shape)
+
+    def step(self, asked: Any) -> tuple[np.ndarray, np.ndarray]:
+        """A step of each episode ``[..., 5]``: its name, the action, whether it is the last, and
+        whether there is none to make, as it is over.
+
+        Raises:
+            RuntimeError: where the world of one is in use by another.
+        """
+        rows = np.asarray(asked).reshape(-1, 5)
+        nothing = bytes(ANSWER.size), np.zeros(self.first.space.shape, self.first.space.dtype)
+        answers = dict.fromkeys(range(len(rows)), nothing)
+        with self.lock:
+            answers |= self._played({n: row.tobytes() for n, row in enumerate(rows) if not row[4]})
+        return self._arrays([*answers.values()], asked.shape[:-1])
+
+    def _played(self, asked: Mapping[int, bytes]) -> dict[int, tuple[bytes, np.ndarray]]:
+        """The answer to each. Where the world has gone on from there already, by this action, it is
+        what came of it then.
+        """
+        moves: defaultdict[Worlds, dict[int, int]] = defaultdict(dict)
+        for number, row in asked.items():
+            if found := self.standing.get(row[:8]):
+                worlds, lane = found[-1]
+                self._stand(worlds, lane, None)
+                moves[worlds][lane] = number
+        answers = {}
+        for worlds, lanes in moves.items():
+            if any(worlds.names):
+                raise RuntimeError("lanes of a VectorEnv are stepped together: leave none out")
+            played = worlds.step({lane: _action(asked[n]) for lane, n in lanes.items()})
+            for lane, number in lanes.items():
+                row, (obs, reward, ends, truncated) = asked[number], played[lane]
+                terminated = bool(ends)
+                cut = not terminated and bool(truncated or row[12])
+                name = _digest(row + ANSWER.pack(b"", reward, terminated, cut), obs)
+                answers[number] = ANSWER.pack(name, reward, terminated, cut), obs
+                self.said[row] = answers[number]
+                self._stand(worlds, lane, None if terminated or cut else name)
+        if any(row not in self.said for number, row in asked.items() if number not in answers):
+            said = f"num_envs is {self.num_envs}: more episodes are played at once; raise it"
+            raise RuntimeError(said)
+        answers |= {n: self.said[row] for n, row in asked.items() if n not in answers}
+        while len(self.said) > 2 * self.num_envs:
+            del self.said[next(iter(self.said))]
+        return answers
+
+    def _made(self) -> Worlds:
+        name = self.make if isinstance(self.make, str) else getattr(self.make, "__name__", "make")
+        try:
+            made = gymnasium.make(self.make) if isinstance(self.make, str) else self.make()
+            return Worlds(made)
+        except (gymnasium.error.Error, ValueError) as error:
+            raise ValueError(f"{name}: {error}") from error
+
+    def _free(self) -> Worlds:
+        """Worlds that nobody plays in, or new ones; where there may be no more, those that were
+        begun longest ago.
+        """
+        free = next((worlds for worlds in self.every if not any(worlds.names)), None)
+        if free is None and (len(self.every) + 1) * len(self.first.names) <= self.num_envs:
+            free = self._made()
+        else:
+            free = free or self.every[0]
+            self.every.remove(free)
+        self.every.append(free)
+        for lane in range(len(free.names)):
+            self._stand(free, lane, None)
+        return free
+
+    def _stand(self, worlds: Worlds, lane: int, name: bytes | None) -> None:
+        """From now on the lane's episode stands there, or nowhere."""
+        before, worlds.names[lane] = worlds.names[lane], name
+        if before is not None:
+            self.standing[before].remove((worlds, lane))
+            if not self.standing[before]:
+                del self.standing[before]
+        if name is not None:
+            self.standing.setdefault(name, []).append((worlds, lane))
+
+    def _arrays(self, answers: Sequence[Any], lead: tuple) -> tuple[np.ndarray, np.ndarray]:
+        said, obs = zip(*answers, strict=True)
+        packed = np.frombuffer(b"".join(said), np.uint32).reshape((*lead, 5))
+        return packed, np.stack(obs).reshape((*lead, *self.first.space.shape))
+
+
+def _action(row: bytes) -> int:
+    return int.from_bytes(row[8:12], "little")
+
+
+def _digest(what: bytes, obs: np.ndarray) -> bytes:
+    return blake2b(what + obs.tobytes(), digest_size=8).digest()
+
+
+def _observed(space: Any) -> spaces.Box:
+    """How observations are given on.
+
+    Raises:
+        ValueError: where they are neither vectors nor frames.
+    """
+    axes = len(space.shape) if isinstance(space, spaces.Box) else 0
+    if axes == 1:
+        return spaces.Box(space.low.astype(np.float32), space.high.astype(np.float32))
+    if axes == 3 and space.dtype == np.uint8:
+        return space
+    kinds = "neither vectors nor frames of bytes [height, width, channels]"
+    raise ValueError(f"observations are {space}, {kinds}: {WRAP}FlattenObservation")

@@ -1,0 +1,81 @@
+"""Environments by what they are called, as on a command line."""
+
+import ast
+import difflib
+import importlib
+from functools import cache, partial
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from jaxdyna.envs.hosted import from_gymnasium
+from jaxdyna.types import check_part
+
+AT_ONCE = 4096
+"""Episodes of a Gymnasium world that may be played at a time; worlds are made as needed."""
+FORMS = "gymnasium:ID, jaxdyna:NAME, MODULE:NAME or 'MODULE:NAME(FIELD=VALUE, ...)'"
+
+
+@cache
+def named(said: str) -> Any:
+    """The environment that is called so: of Gymnasium by its id; or made by a class or function of
+    `jaxdyna.envs` or of another module, which may also make one of Gymnasium's.
+
+    Raises:
+        ValueError: where there is none, with what is called almost so.
+    """
+    if said.startswith("gymnasium:"):
+        return from_gymnasium(said.partition(":")[2], AT_ONCE)
+    name, given = _call(said)
+    found = _module(module_of(said))
+    make = getattr(found, name, None)
+    if not callable(make):
+        near = difflib.get_close_matches(name, dir(found), n=1)
+        hint = f": did you mean {near[0]}?" if near else ""
+        raise ValueError(f"{found.__name__} has no {name}{hint}")
+    try:
+        made = make(**given)
+    except TypeError as error:
+        raise ValueError(f"{said}: {error}") from None
+    if hasattr(made, "default_params"):
+        return _checked(made)
+    if not hasattr(made, "action_space") and not hasattr(made, "single_action_space"):
+        raise ValueError(f"{said} makes a {type(made).__name__}, no environment: name another")
+    return from_gymnasium(partial(make, **given), AT_ONCE)
+
+
+def _checked(env: Any) -> Any:
+    """The pure environment, where it is seen as `jaxdyna.dyna.frames.parts` takes it."""
+    check_part("the world", env, "reset", "step", "num_actions", "observation_space")
+    space = env.observation_space(env.default_params)
+    if len(space.shape) == 1 or (len(space.shape) == 3 and space.dtype == np.uint8):
+        return env
+    kinds = "a vector, or as frames of bytes [height, width, channels]"
+    raise ValueError(f"{type(env).__name__} is seen as {space}: let it be seen as {kinds}")
+
+
+def module_of(said: str) -> str:
+    """The module that an environment's name begins with."""
+    module = said.partition(":")[0]
+    return "jaxdyna.envs" if module in ("gymnasium", "jaxdyna") else module
+
+
+def _call(said: str) -> tuple[str, dict[str, Any]]:
+    """The name after the module, and what is given to it."""
+    try:
+        call = ast.parse(said.partition(":")[2], mode="eval").body
+        name = ast.unparse(call.func if isinstance(call, ast.Call) else call)
+        keywords = call.keywords if isinstance(call, ast.Call) else []
+        given = {str(one.arg): ast.literal_eval(one.value) for one in keywords}
+    except (SyntaxError, ValueError):
+        raise ValueError(f"{said} is no world: give {FORMS}") from None
+    return name, given
+
+
+def _module(name: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        said = f"there is no module {error.name}: give {FORMS}, of a module in this folder"
+        raise ValueError(said) from None

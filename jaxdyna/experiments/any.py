@@ -1,0 +1,204 @@
+"""``python -m jaxdyna.experiments.any --env WORLD``: any world (`jaxdyna.envs.named`) from the
+command line. Agent, model and counts follow from its spaces.
+"""
+
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+import optax
+import tyro
+
+from jaxdyna import agents, models, networks
+from jaxdyna.agents.reinforce import per_step
+from jaxdyna.dyna import DynaConfig, DynaHParams
+from jaxdyna.envs import FrameStack
+from jaxdyna.envs.named import FORMS, module_of, named
+from jaxdyna.experiments import engine
+from jaxdyna.experiments.engine import cli, storage
+from jaxdyna.experiments.report import frozen
+from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.study import arms as study
+from jaxdyna.fields import changed, setting
+from jaxdyna.statistics import SolveRule
+
+PROG = "python -m jaxdyna.experiments.any"
+SMALL = 32
+"""Cells a side up to which a frame is taken for a board."""
+
+
+@dataclass(frozen=True)
+class World:
+    """What decides which settings there are."""
+
+    env: str | None = setting(None, FORMS)
+    agent: Literal["dqn", "reinforce"] = setting("dqn", "who acts")
+    from_: Annotated[Path | None, tyro.conf.arg(name="from")] = setting(None, "a results.json")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnyOptions(engine.Options):
+    """A DQN, or REINFORCE, in any world, with and without fake episodes from a learned model."""
+
+    decided: ClassVar = {
+        "env": "the world", "learner": "--agent", "dyna.num_episodes": "--episodes",
+        "dyna.num_steps": "--hparams.env.max-steps",
+    }  # fmt: skip
+
+    env: str = setting(help="the world")
+    learner: str = setting(help="who acts")
+    frames: int = setting(1, "observations that are seen at a time, the newest last", at_least=1)
+    solve_at: float | None = setting(
+        None, "mean return of 100 episodes at which a run has solved; None: Gymnasium's own "
+        "reward_threshold, if any", everyday=True,
+    )  # fmt: skip
+    dyna: DynaConfig = setting()
+    agent: Any = setting()
+    model: Any = setting()
+    hparams: DynaHParams = setting()
+
+    @property
+    def home(self) -> str:
+        """The world's own module."""
+        return module_of(self.env)
+
+    def resolved(self) -> Self:
+        """An episode is as long as the world says."""
+        steps = self.hparams.env.max_steps
+        dream = min(self.dyna.dream_steps or steps, steps)
+        return changed(self, {
+            "dyna.num_episodes": self.episodes, "dyna.num_steps": steps, "dyna.dream_steps": dream,
+        })  # fmt: skip
+
+
+def defaults(said: str, learner: str) -> AnyOptions:
+    """The settings for a world, by its spaces; whatever carries over is of ``lean``.
+
+    Raises:
+        ValueError: where there is no such world, or the agent cannot see it.
+    """
+    env = named(said)
+    params = env.default_params
+    shape, actions = env.observation_space(params).shape, env.num_actions
+    pictures, board = len(shape) == 3, max(shape[:2]) <= SMALL
+    dyna = DynaConfig(
+        num_steps=params.max_steps, num_real_first=5, model_updates=300, model_batch=64,
+        rare_share=0.25, dream_updates=2, dream_episodes=200, dream_steps=5, eval_every=20,
+        eval_episodes=20,
+    )  # fmt: skip
+    options = partial(
+        AnyOptions, preset="lean", arms=("model_free", "dyna"), episodes=300, env=said,
+        learner=learner, stop_after_solved=0,
+    )  # fmt: skip
+    if pictures:
+        if learner != "dqn":
+            raise ValueError(f"--agent {learner} sees vectors, {said} frames: give --agent dqn")
+        picture = (networks.LocalDynamics if board else networks.EncoderDecoder)(shape[-1])
+        network = (networks.GlimpseQ if board else networks.ConvolutionalQ)(actions)
+        return options(
+            frames=4, dyna=dyna, model=models.PixelConfig(picture, terminates=True),
+            agent=agents.DQNConfig(network, updates=100, fake_updates=400, fake_capacity=8000),
+            hparams=DynaHParams(
+                agents.DQNHParams(epsilon_hold=5.0), models.PixelHParams(3e-3), params,
+            ),
+        )  # fmt: skip
+    model = models.SupervisedConfig(
+        hidden=(64, 64), sum_loss=False, delta=True, normalise=True, scale_reward=True,
+        one_hot=True, ensemble=5, one_member=True, optimizer=optax.adam,
+    )  # fmt: skip
+    dream = models.DreamHParams(uncertainty_threshold=0.3)
+    if learner == "reinforce":
+        return options(
+            dyna=replace(dyna, dream_updates=20, dream_episodes=16, dream_steps=None),
+            agent=agents.ReinforceConfig(advantage=per_step, output_variance=1e-4), model=model,
+            hparams=DynaHParams(
+                agents.ReinforceHParams(), models.SupervisedHParams(3e-3), params, dream
+            ),
+        )  # fmt: skip
+    return options(
+        dyna=dyna, model=model,
+        agent=agents.DQNConfig(updates=0, updates_per_step=1.0, fake_updates=200, batch=64),
+        hparams=DynaHParams(
+            agents.DQNHParams(discount=0.99, epsilon_last=0.02), models.SupervisedHParams(3e-3),
+            params, dream,
+        ),
+    )  # fmt: skip
+
+
+def arms(options: AnyOptions) -> dict[str, study.Made]:
+    """The standard arms."""
+    env = FrameStack(named(options.env), options.frames)
+    return study.world_arms(
+        env, options.agent, options.model, options.dyna, options.hparams,
+        study.Hooks(piece=10, block=options.block),
+    )  # fmt: skip
+
+
+def rule(options: AnyOptions) -> SolveRule | None:
+    """When a run counts as solved."""
+    own = getattr(named(options.env), "reward_threshold", None)
+    at = own if options.solve_at is None else options.solve_at
+    return None if at is None else SolveRule(100, float(at))
+
+
+def solved(*sections: Any) -> Any:
+    """Sections that ask for a rule, where there is one."""
+    return lambda record: report.paragraphs(
+        *(section(record) for section in sections if rule(record.options))
+    )
+
+
+def experiment(said: str, learner: str) -> engine.Experiment:
+    """A world's experiment."""
+    options = defaults(said, learner)
+    vectors = isinstance(options.model, models.SupervisedConfig)
+    errors = {"model_error": "squared error of the next state over its change"}
+    return engine.Experiment(
+        name="any-" + "".join(one if one.isalnum() else "-" for one in said).strip("-").lower(),
+        title=said, presets={"lean": options}, arms=arms, rule=rule,
+        quick={"lean": {"seeds": 2, "episodes": 60}}, describe=(frozen.describe(rule),),
+        sections=(
+            solved(report.solving(rule)), report.learning_curves(rule), report.area,
+            solved(report.thresholds(rule), frozen.frozen(rule)), frozen.at_steps,
+            solved(report.endings(rule)),
+            report.behaviour(errors if vectors else report.WRONG, 10, log=vectors),
+            report.arms_said(study.SAID), report.settings, report.spent,
+        ),
+    )  # fmt: skip
+
+
+def command_parts(flags: Sequence[str]) -> tuple[list[engine.Experiment], list[str], str]:
+    """See `jaxdyna.experiments.engine.record.command_of`.
+
+    Raises:
+        ValueError: where there is no such world.
+    """
+    helping = [word for word in flags if word in ("-h", "--help", "--help-all")]
+    asked = [word for word in flags if word not in helping]
+    said, rest = cli.read(World, asked, PROG, return_unknown_args=True)
+    earlier = storage.read_json(said.from_).get("config", {}) if said.from_ else {}
+    rest = [*rest, *helping, *(("--from", str(said.from_)) if said.from_ else ())]
+    env, agent = said.env or earlier.get("env"), earlier.get("learner", said.agent)
+    if env is None and helping:
+        return [experiment("jaxdyna:CartPole", agent)], rest, f"{PROG} --env WORLD"
+    if env is None:
+        raise ValueError(f"--env is missing: give {FORMS}")
+    prog = f"{PROG} --env {shlex.quote(env)}" + f" --agent {agent}" * (agent != "dqn")
+    return [experiment(env, agent)], rest, prog
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Plays by the arguments, or the process's; see `jaxdyna.experiments.engine.main`."""
+    try:
+        experiments, flags, prog = command_parts(sys.argv[1:] if argv is None else argv)
+    except (ValueError, ImportError) as error:
+        cli.fail(str(error), PROG)
+    return engine.main(*experiments, argv=flags, prog=prog)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
