@@ -31,6 +31,6 @@ def play(key):
     return jax.lax.scan(step, (key, state), length=steps)[1]
 
 
-for line in sys.stdin:
+for _ in sys.stdin:
     jax.block_until_ready(play(jax.random.key(0)))
     print(flush=True)

@@ -28,7 +28,9 @@ class Moments:
         self.mean, self.variance, self.batches = torch.zeros(size), torch.ones(size), 0
 
     def update(self, values: Tensor) -> None:
-        """Takes in a batch ``[N, size]``; the first 200 count alike, later ones move it by 1/200."""
+        """Takes in a batch ``[N, size]``; the first 200 count alike, later ones move it by
+        1/200.
+        """
         self.batches += 1
         rate = 1 / min(self.batches, 200)
         moved = values.mean(0) - self.mean

@@ -1,6 +1,7 @@
-"""Dyna on frames as people write it: PyTorch and NumPy, one environment, one seed, one step at a time;
-DQN, a model of the frames, and fake episodes that are stepped together. The networks and counts are
-those of `jaxdyna`'s Maze (`tuned`) and Pong (`paper`, arm `dyna_l2`); Pong here is the Atari 2600's.
+"""Dyna on frames as people write it, in PyTorch and NumPy, one environment, one seed and one step
+at a time: DQN, a model of the frames, and fake episodes that are stepped together. The networks and
+counts are those of `jaxdyna`'s Maze (`tuned`) and Pong (`paper`, arm `dyna_l2`); Pong is the real
+Atari 2600's.
 
 It is what `python -m jaxdyna.experiments.benchmark --what frames` is measured against.
 """
@@ -17,7 +18,6 @@ import torch
 from numpy_maze import NumpyMaze
 from torch import Tensor, nn
 from torch.nn import functional
-
 
 FRAMES, STEPS, BATCH = 4, 200, 32
 

@@ -3,6 +3,7 @@ sweeps, starts, and peaks of memory.
 """
 
 from collections.abc import Iterable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,14 +11,14 @@ from typing import Any
 
 import jax
 
-from jaxdyna.experiments.benchmark.timing import OURS, Ran, command, in_turns, row
 from jaxdyna.experiments.benchmark.frames import WORLDS
-from jaxdyna.experiments.engine import Results, storage
+from jaxdyna.experiments.benchmark.others import PACKAGE, command, played
+from jaxdyna.experiments.benchmark.timing import OURS, in_turns, in_units, row
+from jaxdyna.experiments.engine import Results
 from jaxdyna.experiments.engine.experiment import chosen
 from jaxdyna.experiments.engine.memory import held
 from jaxdyna.experiments.engine.session import prepared
 
-PACKAGE = "jaxdyna.experiments"
 IMPORTS = {OURS: "import jaxdyna", "jax, flax and optax": "import jax, flax, optax"}
 SHORT = ("--seeds", 2, "--episodes", 20, "--dyna.num-real-first", 10)
 """A run of which starting takes the most."""
@@ -28,25 +29,14 @@ SMALL = {
 """Runs of ``dyna`` whose memory is looked at."""
 
 
-def played(
-    world: str, *flags: Any, cache: Path | None = None
-) -> tuple[Ran, Results, dict[str, Any]]:
-    """A world's command: its process, its ``results.json`` and its curves."""
-    with TemporaryDirectory() as folder:
-        out = Path(folder, "result")
-        words = *map(str, flags), *(() if cache else ("--no-cache",)), "--out", str(out)
-        ran = command("-m", f"{PACKAGE}.{world}", *words, cache=cache)
-        return ran, storage.read_json(out / "results.json"), storage.read_curves(out / "curves.npz")
-
-
 def sweeps(options: Any) -> Iterable[Results]:
     """Seconds a run of CartPole's ``dyna`` in sweeps of many runs, beside those in the smallest."""
+    episodes = options.sweep_episodes
+    length = "--episodes", episodes, "--dyna.num-real-first", episodes // 2
     costs: dict[str, list[float]] = {"compiling included": [], "without compiling": []}
     for count in options.sizes:
-        _, results, _ = played(
-            "cartpole", "--arms", "dyna", "--seeds", count, "--seed", options.seed,
-            "--episodes", options.sweep_episodes, "--dyna.num-real-first", options.sweep_episodes // 2,
-        )  # fmt: skip
+        flags = "--arms", "dyna", "--seeds", count, "--seed", options.seed, *length
+        _, results, _ = played("cartpole", *flags)
         spent = results["timing"]
         for kind, also in zip(costs, (spent["compile_s"], 0.0), strict=True):
             costs[kind].append((spent["run_s"] + also) / count)
@@ -56,9 +46,9 @@ def sweeps(options: Any) -> Iterable[Results]:
 
 def start(options: Any) -> Iterable[Results]:
     """Imports, the help, and the first result by a cache of programs that is empty, then full."""
-    works: dict[str, Any] = {who: (lambda code=code: command("-c", code) and 1)
-                             for who, code in IMPORTS.items()}  # fmt: skip
-    works["help"] = lambda: command("-m", f"{PACKAGE}.cartpole", "--help") and 1
+    calls = {who: ["-c", code] for who, code in IMPORTS.items()}
+    calls["help"] = ["-m", f"{PACKAGE}.cartpole", "--help"]
+    works = {who: in_units(partial(command, *argv), 1.0) for who, argv in calls.items()}
     seconds = in_turns(works, options.rounds, least_s=0)
     ours, theirs = (seconds[who] for who in IMPORTS)
     yield row("import jaxdyna", "s", ours, [*IMPORTS][1], theirs)
@@ -81,5 +71,6 @@ def memory(options: Any) -> Iterable[Results]:
         session = prepared(import_module(f"{PACKAGE}.{world}").PARTS, words, world)
         arm = chosen(session.every, session.options.arms)[0].make()
         state = jax.eval_shape(arm.work.init, jax.random.key(0), arm.hparams)
-        yield row(f"{name}, {session.options.seeds} runs", "GiB", played(world, *words)[0].peak_bytes, "their state",
-                  held(state) * session.options.seeds)  # fmt: skip
+        ran, count = played(world, *words)[0], session.options.seeds
+        what = f"{name}, {count} runs"
+        yield row(what, "GiB", ran.peak_bytes, "their state", held(state) * count)

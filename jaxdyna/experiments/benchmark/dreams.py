@@ -10,9 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.envs import CartPole
+from jaxdyna.experiments.benchmark.others import rival
 from jaxdyna.experiments.benchmark.timing import (
-    OURS, PYTORCH, Work, compared, jitted, product, rival,
-)  # fmt: skip
+    OURS,
+    PYTORCH,
+    Work,
+    compared,
+    in_units,
+    jitted,
+    product,
+)
 from jaxdyna.experiments.cartpole.arms import parts
 from jaxdyna.experiments.cartpole.options import TUNED
 from jaxdyna.experiments.engine import Results, storage
@@ -27,7 +34,8 @@ WIDE = 1024
 
 def measure(options: Any) -> Iterable[Results]:
     """Episodes of a model and a policy as `tuned` has them, untrained; none of them ends early."""
-    dyna, hparams, theirs = parts(TUNED), TUNED.hparams, rival("torch_cartpole")
+    dyna: Any = parts(TUNED)
+    hparams, theirs = TUNED.hparams, rival("torch_cartpole")
     keys = jax.random.split(jax.random.key(options.seed), 3)
     agent = dyna.agent.init(keys[0], hparams.agent)
     model = dyna.model.init(keys[1], hparams.model).params
@@ -58,10 +66,9 @@ def torchs(theirs: Any, batch: int) -> Work:
     run = theirs.Run(seed=0, ends_above=1.0)
     run.starts = [np.zeros(4, np.float32)]
 
-    def work() -> float:
+    @theirs.torch.no_grad()
+    def dream() -> None:
         theirs.torch.set_num_threads(storage.cores() if batch >= WIDE else 1)
-        with theirs.torch.no_grad():
-            run.dream(batch, STEPS)
-        return batch * STEPS
+        run.dream(batch, STEPS)
 
-    return work
+    return in_units(dream, batch * STEPS)

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, make_init, make_step
 from jaxdyna.dyna.loop import play_real, train_model
 from jaxdyna.envs import Maze
-from jaxdyna.experiments.benchmark.timing import OURS, PYTORCH, Work, compared, rival
+from jaxdyna.experiments.benchmark.others import rival
+from jaxdyna.experiments.benchmark.timing import OURS, PYTORCH, compared, in_units
 from jaxdyna.experiments.engine import Results, storage
 from jaxdyna.experiments.maze import arms as maze
 from jaxdyna.experiments.maze.options import TUNED as MAZE
@@ -33,13 +34,12 @@ def maze_parts(options: Any) -> Dyna:
 def pong_parts(options: Any) -> Dyna:
     """The parts of Pong's ``dyna_l2``, which sees RGB by convolutions."""
     game = world.game_of(options)
-    seen = pong.network_of(options, game)
-    agent = replace(sized(options.agent, options.dyna), network=seen)
+    agent = replace(sized(options.agent, options.dyna), network=pong.network_of(options, game))
     reward = {"reward": SignedReward(), "reward_weight": options.reward_weight}
     return pong.parts(game, agent, world.paper_model(options, **reward))
 
 
-WORLDS = {"Maze": (MAZE, maze_parts), "Pong": (PONG, pong_parts)}
+WORLDS: dict[str, Any] = {"Maze": (MAZE, maze_parts), "Pong": (PONG, pong_parts)}
 
 
 def measure(options: Any) -> Iterable[Results]:
@@ -59,16 +59,6 @@ def measure(options: Any) -> Iterable[Results]:
             pair = {OURS: in_units(work, units[number])}
             pair[PYTORCH] = other and in_units(calls[number], units[number])
             yield from compared(f"{name}, {what}", "ms", pair, options.rounds)
-
-
-def in_units(call: Callable[[], Any], units: int) -> Work:
-    """A call as work of so many units."""
-
-    def work() -> float:
-        call()
-        return units
-
-    return work
 
 
 def works(

@@ -7,29 +7,29 @@ from jaxdyna.experiments.report.sections import paragraphs
 from jaxdyna.experiments.report.tables import markdown_table
 
 SAID = {
-    "whole": "CartPole's arms `model_free` and `dyna` in preset `tuned` from the command line, cold: "
-    "compiling, evaluating, judging and drawing included. Beside it the same algorithm in PyTorch "
-    "and Gymnasium, **extrapolated**: its pieces, measured in turns with ours, times their numbers "
-    "in just these runs, each up to its own end, over the cores, as if as many processes took no "
-    "longer than one alone.",
-    "steps": "Many environments at once. Everything that steps return is kept. Actions given: poles "
-    "pushed to and fro for 32 steps after a reset, so that none falls. At random: actions drawn in "
-    "every step, and who is over is reset; NumPy plays one Maze at a time.",
-    "dreams": "The learned CartPole model in `rollout`, the policy acting. The share is of what the "
-    "rate of products of as many rows and 256x256 would allow.",
-    "frames": "One run on all cores; the Maze by `tuned`, Pong's arm `dyna_l2` by `paper`, without what "
-    "is only looked at. An update draws its batch from the replay. In PyTorch dreams are stepped "
-    "together and replays are lists of transitions; its Pong is the Atari 2600's, ours the pure game.",
-    "sweeps": "CartPole's `dyna` by `tuned`, dreaming from the middle on.",
-    "start": "Each in a process of its own. A short run of CartPole's two arms, with a cache of "
-    "programs that is empty, then full.",
+    "whole": "CartPole's arms `model_free` and `dyna` by `tuned` from the command line, cold: with "
+    "compiling, evaluating, judging and drawing. Beside it the same algorithm in PyTorch and "
+    "Gymnasium, **extrapolated**: its pieces, timed in turns with ours, times their numbers in "
+    "just these runs, each up to its own end, over the number of cores, as if as many processes at once "
+    "took no longer than one.",
+    "steps": "Many environments at once; all that steps return is kept. Given: poles pushed to and "
+    "fro for 32 steps after a reset, so that none falls. At random: actions drawn in every step; "
+    "what is over is reset. NumPy plays one Maze at a time.",
+    "dreams": "Steps of the learned CartPole model in `rollout`, the policy acting. The ceiling is "
+    "what products of as many rows with 256x256 allow.",
+    "frames": "One run on all cores, each batch drawn from its replay: the Maze by `tuned`, Pong's "
+    "arm `dyna_l2` by `paper`, without what is only looked at. PyTorch steps dreams together, its "
+    "replay is a list of transitions, its Pong the Atari 2600's; ours is the pure game.",
+    "sweeps": "CartPole's `dyna` by `tuned`, compiled anew, dreaming from the middle on.",
+    "start": "Each in a process of its own. The result is that of a short run of CartPole's two "
+    "arms, with a cache of programs that is empty, then full.",
     "memory": "The peak of a process, beside the state of all its runs.",
 }  # fmt: skip
-
-
 BESIDE = ("whole", "steps", "dreams", "frames")
 """What others are beside."""
-LACKING = "PyTorch is missing: `pip install 'jaxdyna[bench]'`, and a checkout, in which `docs/examples` is."
+LACKING = (
+    "PyTorch is missing: `pip install 'jaxdyna[bench]'`, in a checkout, where `docs/examples` is."
+)
 
 
 def section(record: Record, name: str) -> str:
@@ -84,10 +84,10 @@ def machine(record: Record) -> str:
     """Where, and how to read the tables."""
     device, rounds = record.results["device"], record.options.rounds
     return (
-        f"On {device['cpu_cores']} cores ({device['platform']}). Both sides in turns, {rounds} each; "
-        "medians. A ratio is the other's time over ours, of each turn: above 1 ours is the faster. "
-        "Seconds are this machine's, ratios less so; the rate of its products stands beside each "
-        "table."
+        f"On {device['cpu_cores']} cores ({device['platform']}). Both sides in turns, {rounds} "
+        "each; medians. A ratio is the other's time, or bytes, over ours, turn by turn: above 1 "
+        "ours is the faster. Seconds are this machine's, ratios less so; what it does at all in "
+        "large products stands below each table."
     )
 
 

@@ -1,5 +1,5 @@
-"""CartPole's result from the command line, cold, beside what PyTorch takes for the same runs: for as
-much work as each of them has up to its own end. That is extrapolated from measured pieces.
+"""CartPole's result from the command line, cold, beside what PyTorch takes for the same runs, for
+as much work as each has up to its own end: that is extrapolated, from measured pieces.
 """
 
 from collections.abc import Iterable, Mapping
@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from jaxdyna.experiments.benchmark.commands import played
-from jaxdyna.experiments.benchmark.timing import Work, in_turns, rival, row
+from jaxdyna.experiments.benchmark.others import played, rival
+from jaxdyna.experiments.benchmark.timing import Work, in_turns, in_units, row
 from jaxdyna.experiments.cartpole.options import TUNED
 from jaxdyna.experiments.engine import Curves, Results, storage
 
-REAL, MODEL, FAKE, TOGETHER = PIECES = (
+REAL, MODEL, FAKE, TOGETHER = (
     "real step with its share of a policy update", "model update",
     "fake step with its share, one at a time", "fake step with its share, 8 at a time",
 )  # fmt: skip
@@ -31,9 +31,8 @@ def measure(options: Any) -> Iterable[Results]:
         theirs: dict[str, list[float]] = {side: [] for side in SIDES}
         for _ in range(max(1, COLD * options.runs[0] // count)):
             seconds = in_turns(torchs, options.rounds)
-            ran, results, curves = played(
-                "cartpole", "--seeds", count, "--seed", options.seed, "--episodes", options.episodes,
-            )  # fmt: skip
+            flags = "--seeds", count, "--seed", options.seed, "--episodes", options.episodes
+            ran, results, curves = played("cartpole", *flags)
             ours.append(ran.seconds)
             units = [counted(results["arms"][name], curves[name]) for name in curves]
             for side, fake in SIDES.items():
@@ -42,8 +41,8 @@ def measure(options: Any) -> Iterable[Results]:
                     theirs[side].append(float(np.sum(units, axis=0) @ each) / storage.cores())
         for side in SIDES:
             yield row(f"{count:,} runs of both arms", "s", ours, side, theirs[side] or None)
-    for name, each in seconds.items():
-        yield row(name, "ms", None, "PyTorch", each)
+    for name, turns in seconds.items():
+        yield row(name, "ms", None, "PyTorch", turns)
 
 
 def counted(arm: Results, curves: Curves) -> tuple[float, float, float]:
@@ -75,10 +74,7 @@ def pieces(torch: Any, options: Any) -> Mapping[str, Work]:
     for number in range(WARM_UP):
         one.episode(number)
     together.starts, together.model = one.starts, one.model
-
-    def model_update() -> float:
-        one.train_model()
-        return 1.0
-
-    calls = one.real_episode, model_update, one.learn_from_dreams, together.learn_from_dreams
-    return dict(zip(PIECES, calls, strict=True))
+    return {
+        REAL: one.real_episode, MODEL: in_units(one.train_model, 1.0),
+        FAKE: one.learn_from_dreams, TOGETHER: together.learn_from_dreams,
+    }  # fmt: skip
