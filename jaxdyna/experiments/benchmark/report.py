@@ -10,10 +10,10 @@ SAID = {
     "whole": "CartPole's arms `model_free` and `dyna` by `tuned` from the command line, cold: with "
     "compiling, evaluating, judging and drawing. Beside it the same algorithm in PyTorch and "
     "Gymnasium, **extrapolated**: its pieces, timed in turns with ours, times their numbers in "
-    "just these runs, each up to its own end, over the number of cores, as if as many processes at once "
-    "took no longer than one.",
+    "just these runs, each up to its own end, over the number of cores, as if as many processes "
+    "at once took no longer than one.",
     "steps": "Many environments at once; all that steps return is kept. Given: poles pushed to and "
-    "fro for 32 steps after a reset, so that none falls. At random: actions drawn in every step; "
+    "fro for 16 steps after a reset, so that none falls. At random: actions drawn in every step; "
     "what is over is reset. NumPy plays one Maze at a time.",
     "dreams": "Steps of the learned CartPole model in `rollout`, the policy acting. The ceiling is "
     "what products of as many rows with 256x256 allow.",

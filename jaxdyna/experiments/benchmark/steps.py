@@ -2,7 +2,7 @@
 
 import subprocess
 from collections.abc import Iterable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
@@ -19,8 +19,9 @@ from jaxdyna.experiments.engine import InputError, Results
 from jaxdyna.trees import where
 from jaxdyna.types import Environment, Key
 
-STEPS = 32
-"""Of a turn: pushed to and fro, no pole falls so soon."""
+STEPS = 16
+"""Of a turn. Pushed so for so long, no pole falls."""
+PUSHES = np.resize([0, 1, 1, 0], STEPS)
 
 
 def measure(options: Any) -> Iterable[Results]:
@@ -28,7 +29,7 @@ def measure(options: Any) -> Iterable[Results]:
     count, rounds, numpys = options.envs, options.rounds, rival("numpy_maze")
     cartpole, maze, key = CartPole(), Maze(), jax.random.key(options.seed)
     units, rng = count * STEPS, np.random.default_rng(options.seed)
-    pushes = np.tile(np.arange(STEPS)[:, None] % 2, (1, count))
+    pushes = np.tile(PUSHES[:, None], (1, count))
     moves = rng.integers(maze.num_actions, size=(STEPS, count))
     envs: Any = gymnasium.make_vec("CartPole-v1", count, "vector_entry_point")
 
@@ -62,11 +63,12 @@ def measure(options: Any) -> Iterable[Results]:
 
 def given(env: Environment, key: Key, actions: jax.Array) -> Any:
     """What is seen and earned after a reset by actions ``[T, N]``; the steps are deterministic."""
-    params, key = env.default_params, jax.random.split(key, actions.shape[1] + 1)
-    _, state = jax.vmap(env.reset, (0, None))(key[1:], params)
+    params, (key_step, key_reset) = env.default_params, jax.random.split(key)
+    starts = jax.random.split(key_reset, actions.shape[1])
+    _, state = jax.vmap(env.reset, (0, None))(starts, params)
 
     def step(state: Any, action: jax.Array) -> Any:
-        played = jax.vmap(env.step, (None, 0, 0, None))(key[0], state, action, params)
+        played = jax.vmap(env.step, (None, 0, 0, None))(key_step, state, action, params)
         obs, state, *earned, _ = played
         return state, (obs, earned)
 
@@ -96,14 +98,13 @@ def at_random(env: Environment, count: int, key: Key) -> Any:
 def gymnax(python: Path, count: int, stack: ExitStack) -> Work:
     """Work of another interpreter, which plays a turn whenever it is sent a line."""
     words = [str(python), str(EXAMPLES / "gymnax_cartpole.py"), str(count), str(STEPS)]
-    pipes: Any = dict.fromkeys(("stdin", "stdout"), subprocess.PIPE)
-    process: Any = stack.enter_context(
-        subprocess.Popen(words, text=True, stderr=subprocess.DEVNULL, **pipes)
-    )
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    process: Any = stack.enter_context(subprocess.Popen(words, bufsize=0, **pipes))
     stack.callback(process.stdin.close)
 
     def turn() -> None:
-        print(file=process.stdin, flush=True)
+        with suppress(BrokenPipeError):
+            process.stdin.write(b"\n")
         if not process.stdout.readline():
             raise InputError(f"--gymnax {python} cannot play: install gymnax there")
 
