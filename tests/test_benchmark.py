@@ -135,7 +135,7 @@ def test_costs_starts_and_memory_are_of_the_commands(monkeypatch):
     assert [row["ours"] for row in rows] == [8, 2, 4, 2] and rows[2]["ratio"] == 2
     assert [row["what"] for row in commands.start(TINY)][-1] == "second start, result and report"
     nothing, cartpole, _ = commands.memory(replace(TINY, worlds=("Maze",)))
-    assert nothing["ours"] == 0.5 and 0.01 < cartpole["theirs"] < 0.1 and cartpole["ours"] == 1
+    assert nothing["ours"] == 0.5 and 0.001 < cartpole["theirs"] < 0.02 and cartpole["ours"] == 1
 
 
 def test_a_report_is_made_of_what_was_measured(alone, tmp_path):
@@ -160,7 +160,6 @@ def test_a_report_is_made_of_what_was_measured(alone, tmp_path):
     [
         (["--sizes", "0"], "--sizes is (0,)"), (["--seeds", "3"], "decided"),
         (["--sizes"], "empty"), (["--what", "all"], "--what is ('all',)"),
-        (["--gymnax", "no/python"], "--gymnax is no/python: that is no program, name a Python"),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_line(arguments, words, capsys):
@@ -170,12 +169,16 @@ def test_bad_input_is_one_line(arguments, words, capsys):
     assert stop.value.code == 2 and words in said and len(said.splitlines()) == 1
 
 
-def test_an_interpreter_without_gymnax_is_one_line(alone, capsys, tmp_path):
+@pytest.mark.parametrize(
+    ("python", "complaint"),
+    [("no/python", "that is no program, name a Python"), (sys.executable, "install gymnax there")],
+)
+def test_an_interpreter_without_gymnax_is_one_line(python, complaint, alone, capsys, tmp_path):
     words = ["--what", "steps", "--rounds", "1", "--envs", "2", "--out", str(tmp_path)]
     with pytest.raises(SystemExit) as stop:
-        main(*PARTS, argv=[*words, "--gymnax", sys.executable], prog=PROG)
+        main(*PARTS, argv=[*words, "--gymnax", python], prog=PROG)
     said = capsys.readouterr().err
-    assert stop.value.code == 2 and "install gymnax there" in said and said.count("\n") == 1
+    assert stop.value.code == 2 and complaint in said and said.count("\n") == 1
 
 
 @pytest.mark.slow

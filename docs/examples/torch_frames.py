@@ -238,7 +238,9 @@ class Learner:
 
     @torch.no_grad()
     def act(self, obs: Tensor) -> np.ndarray:
-        """Actions ``[N]`` from stacks in [0, 1], some of them exploratory."""
+        """Actions ``[N]`` from stacks in [0, 1], some of them exploratory; beside Double DQN by the
+        target network.
+        """
         network = self.target if self.settings.double else self.values
         explores = self.rng.random(len(obs)) < self.settings.epsilon
         random = self.rng.integers(self.actions, size=len(obs))
@@ -298,7 +300,8 @@ class Learner:
             best = next_values.gather(1, choice.argmax(1, keepdim=True))[:, 0]
             goal = reward + settings.discount * best
         error = goal - self.values(scaled(obs)).gather(1, action[:, None])[:, 0]
-        weight = torch.as_tensor(np.concatenate([often for _, often, _ in drawn.values()])) ** -0.4
+        often = np.concatenate([often for _, often, _ in drawn.values()])
+        weight = torch.as_tensor(often, dtype=torch.float32) ** -0.4
         loss = (weight / weight.max() * settings.loss(error)).mean()
         self.optimizer.zero_grad()
         loss.backward()

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterable
 from functools import partial
+from shutil import which
 from typing import Any
 
 from jaxdyna.experiments.benchmark import report
 from jaxdyna.experiments.benchmark.options import FEW, MEASURES, BenchmarkOptions
 from jaxdyna.experiments.benchmark.timing import yardstick
-from jaxdyna.experiments.engine import Experiment, Results
+from jaxdyna.experiments.engine import Experiment, InputError, Results
 from jaxdyna.experiments.report import sections
 
 
@@ -17,6 +18,8 @@ def _measured(name: str, rows: Callable[[Any], Iterable[Results]]) -> Callable[.
     def measure(options: BenchmarkOptions, say: Callable[[str], None]) -> Results | None:
         if name not in options.what:
             return None
+        if options.gymnax and not which(options.gymnax):
+            raise InputError(f"--gymnax is {options.gymnax}: that is no program, name a Python")
         found: Results = {"yardstick": yardstick(options.rounds), "rows": []}
         for row in rows(options):
             found["rows"].append(row)

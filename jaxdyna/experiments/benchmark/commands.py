@@ -66,7 +66,7 @@ def memory(options: Any) -> Iterable[Results]:
     """The peak of small runs of ``dyna``, beside the state of these runs."""
     nothing = command("-c", f"import {PACKAGE}.cartpole").peak_bytes
     yield row("nothing, imported alone", "GiB", nothing, "-")
-    for name in ("CartPole", *options.worlds):
+    for name in ("CartPole", *(() if options.quick else options.worlds)):
         world, words = name.lower(), ["--arms", "dyna", *SMALL[name]]
         session = prepared(import_module(f"{PACKAGE}.{world}").PARTS, words, world)
         arm = chosen(session.every, session.options.arms)[0].make()

@@ -3,12 +3,11 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from shutil import which
 from typing import Any, ClassVar
 
 from jaxdyna.experiments.benchmark import commands, dreams, frames, steps, whole
 from jaxdyna.experiments.engine import Options, Overrides, Results
-from jaxdyna.fields import SettingError, setting
+from jaxdyna.fields import setting
 
 MEASURES: Mapping[str, Callable[[Any], Iterable[Results]]] = {
     "whole": whole.measure, "steps": steps.measure, "dreams": dreams.measure,
@@ -40,23 +39,16 @@ class BenchmarkOptions(Options):
         (1, 32, 1024, 8192), "of dreams: episodes at once", at_least=1, everyday=True
     )
     worlds: tuple[str, ...] = setting(
-        tuple(frames.WORLDS),
-        "of frames and memory: where",
-        choices=tuple(frames.WORLDS),
+        tuple(frames.WORLDS), "of frames and memory: where", choices=tuple(frames.WORLDS),
         everyday=True,
-    )
+    )  # fmt: skip
     sizes: tuple[int, ...] = setting(
         (1, 10, 100, 1000), "of sweeps: numbers of runs", at_least=1, everyday=True
     )
-    sweep_episodes: int = setting(20, "of sweeps: real episodes of each run", at_least=2)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.gymnax and not which(self.gymnax):
-            raise SettingError("gymnax", f"is {self.gymnax}: that is no program, name a Python")
+    sweep_episodes: int = setting(10, "of sweeps: real episodes of each run", at_least=2)
 
 
 FEW: Overrides = {
     "rounds": 2, "runs": (2,), "episodes": 120, "batches": (1, 1024),
-    "worlds": ("Maze",), "sizes": (1, 10), "sweep_episodes": 4,
+    "worlds": ("Maze",), "sizes": (2,), "sweep_episodes": 4,
 }  # fmt: skip
