@@ -5,10 +5,12 @@ import sys
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from maze_numpy import PlainMaze
 
+from jaxdyna.agents import reinforce
 from jaxdyna.envs import CartPole, Maze
 from jaxdyna.experiments.benchmark import (
     PARTS,
@@ -22,7 +24,10 @@ from jaxdyna.experiments.benchmark import (
     whole,
 )  # fmt: skip
 from jaxdyna.experiments.benchmark.options import BenchmarkOptions
+from jaxdyna.experiments.cartpole.options import TUNED
 from jaxdyna.experiments.engine import InputError, Record, main
+from jaxdyna.models import supervised
+from jaxdyna.types import Transition
 
 RECORD = "experiments/cartpole_tuned/results.json"
 PROG = "python -m jaxdyna.experiments.benchmark"
@@ -188,6 +193,68 @@ def test_frames_are_measured(alone):
         "model update", "DQN update", "whole episode"
     ]  # fmt: skip
     assert all(row["ours"] > 0 for row in rows)
+
+
+@pytest.fixture
+def copied():
+    """Ours and PyTorch's run of CartPole's `tuned`, from the same weights."""
+    pytest.importorskip("torch")
+    run, keys = others.rival("torch_cartpole").Run(0), jax.random.split(jax.random.key(0))
+    policy = reinforce((4,), 2, TUNED.agent)
+    model = supervised(4, 2, TUNED.model)
+    agent = policy.init(keys[0], TUNED.hparams.agent)
+    learned = model.init(keys[1], TUNED.hparams.model)
+    alone = jax.tree.map(lambda leaf: leaf[0], learned.params.network)
+    for network, params in ((run.policy, agent.params), (run.model.network, alone)):
+        for layer, ours in zip(network[::2], params["params"].values(), strict=True):
+            layer.weight.data = layer.weight.new_tensor(np.array(ours["kernel"]).T)
+            layer.bias.data = layer.bias.new_tensor(np.array(ours["bias"]))
+    return run, (policy, agent), (model, learned)
+
+
+def transitions(obs, action, reward, next_obs, terminated, mask):
+    never = jnp.zeros(mask.shape, bool)
+    arrays = (obs, action, reward, next_obs, terminated, never, mask)
+    return Transition(*map(jnp.asarray, arrays))
+
+
+@pytest.mark.slow
+def test_pytorchs_model_learns_as_ours(copied):
+    run, _, (model, learned) = copied
+    rng, torch = np.random.default_rng(0), others.rival("torch_cartpole").torch
+    update, key = jax.jit(model.update), jax.random.key(1)
+    for _ in range(20):
+        obs, moved = rng.normal(size=(2, 16, 4)).astype(np.float32)
+        rest = rng.integers(2, size=16), np.ones(16, np.float32), obs + 0.1 * moved
+        ends = rng.random(16) < 0.2
+        batch = transitions(obs, *rest, ends, np.ones(16, bool))
+        learned, _ = update(learned, batch, jax.random.clone(key), TUNED.hparams.model)
+        run.model.update(list(zip(obs, *rest, ends, strict=True)))
+    ours = jax.vmap(model.predict, (None, 0, 0, None))(learned.params, batch.obs, batch.action, key)
+    theirs = run.model.predict(torch.tensor(obs), torch.tensor(rest[0]))
+    for one, other in zip(ours[:3], theirs, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 8])
+def test_pytorchs_policy_learns_as_ours(copied, count):
+    """Episodes of several lengths: one alone as a real one, 8 as dreams."""
+    run, (policy, agent), _ = copied
+    rng, torch = np.random.default_rng(0), others.rival("torch_cartpole").torch
+    lengths = rng.integers(10, 30, size=count)
+    obs = rng.normal(size=(count, 30, 4)).astype(np.float32)
+    action, reward = rng.integers(2, size=(count, 30)), np.ones((count, 30), np.float32)
+    mask = np.arange(30) < lengths[:, None]
+    played = transitions(obs, action, reward * mask, obs, np.zeros_like(mask), mask)
+    agent, _ = policy.update(agent, played, jax.random.key(0), TUNED.hparams.agent)
+    log_probs = [
+        run.policy(torch.tensor(obs[row, :end])).log_softmax(1)[range(end), action[row, :end]]
+        for row, end in enumerate(lengths)
+    ]
+    run.learn(log_probs, [torch.tensor(reward[row, :end]) for row, end in enumerate(lengths)])
+    ours = agent.params["params"]["Dense_0"]["kernel"].T
+    np.testing.assert_allclose(ours, run.policy[0].weight.detach(), atol=1e-5)
 
 
 @pytest.mark.slow

@@ -51,6 +51,8 @@ class Model:
         self.network = nn.Sequential(
             nn.Linear(5, 256), nn.ReLU(), nn.Linear(256, 256), nn.ReLU(), nn.Linear(256, 6)
         )
+        for layer in self.network[::2]:
+            nn.init.zeros_(layer.bias)
         self.optimizer = torch.optim.SGD(self.network.parameters(), lr=0.01)
         self.inputs, self.changes = Moments(4), Moments(4)
 
@@ -91,7 +93,7 @@ class Run:
         self.env = gymnasium.make("CartPole-v1", max_episode_steps=STEPS)
         self.env.reset(seed=seed)
         self.policy = nn.Sequential(nn.Linear(4, 8), nn.ReLU(), nn.Linear(8, 2))
-        for layer in (self.policy[0], self.policy[2]):
+        for layer in self.policy[::2]:
             nn.init.kaiming_uniform_(layer.weight, nonlinearity="linear")  # LeCun's
             nn.init.zeros_(layer.bias)
         self.optimizer = torch.optim.Adam(self.policy.parameters(), lr=0.01)
