@@ -80,15 +80,12 @@ def row(
         median = float(np.median(taken))
         return 1 / median if unit.endswith("/s") else median * UNITS[unit]
 
-    found = {"what": what, "unit": unit, "ours": told(ours), "whose": whose, "theirs": told(theirs)}
+    found = Results(what=what, unit=unit, ours=told(ours), whose=whose, theirs=told(theirs))
     if ceiling:
         found["share"] = (told(ours) or 0.0) / ceiling
     if ours is not None and theirs is not None:
         ratio = np.atleast_1d(np.asarray(theirs) / np.asarray(ours))
-        found |= {
-            "ratio": float(np.median(ratio)),
-            "ends": [float(ratio.min()), float(ratio.max())],
-        }
+        found.update(ratio=float(np.median(ratio)), ends=[float(ratio.min()), float(ratio.max())])
     return found
 
 
