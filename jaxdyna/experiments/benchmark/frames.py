@@ -1,0 +1,92 @@
+"""Learning from frames, one run on all cores: gradient steps, each batch drawn from the replay, and
+a whole episode with its updates and dreams.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, make_init, make_step
+from jaxdyna.dyna.loop import play_real, train_model
+from jaxdyna.envs import Maze
+from jaxdyna.experiments.benchmark.others import rival
+from jaxdyna.experiments.benchmark.timing import OURS, PYTORCH, compared, in_units
+from jaxdyna.experiments.engine import Results, storage
+from jaxdyna.experiments.maze import arms as maze
+from jaxdyna.experiments.maze.options import TUNED as MAZE
+from jaxdyna.experiments.pong import arms as pong
+from jaxdyna.experiments.pong import world
+from jaxdyna.experiments.pong.options import PAPER as PONG
+from jaxdyna.experiments.study.arms import sized
+from jaxdyna.networks import SignedReward
+
+
+def maze_parts(options: Any) -> Dyna:
+    """The parts of the Maze's ``dyna``."""
+    board = Maze(options.size, options.obstacles)
+    return maze.parts(board, maze.agent_of(options), maze.model_of(options))
+
+
+def pong_parts(options: Any) -> Dyna:
+    """The parts of Pong's ``dyna_l2``, which sees RGB by convolutions."""
+    game = world.game_of(options)
+    agent = replace(sized(options.agent, options.dyna), network=pong.network_of(options, game))
+    reward = {"reward": SignedReward(), "reward_weight": options.reward_weight}
+    return pong.parts(game, agent, world.paper_model(options, **reward))
+
+
+WORLDS: dict[str, Any] = {"Maze": (MAZE, maze_parts), "Pong": (PONG, pong_parts)}
+
+
+def measure(options: Any) -> Iterable[Results]:
+    """The Maze by `tuned`, Pong by `paper`."""
+    theirs = rival("torch_frames")
+    if theirs:
+        theirs.torch.set_num_threads(storage.cores())
+    for name in options.worlds:
+        preset, make = WORLDS[name]
+        setup, other = preset.resolved(), theirs and theirs.Learner(getattr(theirs, name.upper()))
+        ours = works(make(setup), replace(setup.dyna, eval_every=0), setup.hparams, options.seed)
+        units = setup.dyna.model_updates, setup.agent.updates, 1
+        if other:
+            other.real_episode()  # something to learn from
+        calls = other and (other.train_model, partial(other.learn, units[1]), other.episode)
+        for number, (what, work) in enumerate(ours.items()):
+            pair = {OURS: in_units(work, units[number])}
+            pair[PYTORCH] = other and in_units(calls[number], units[number])
+            yield from compared(f"{name}, {what}", "ms", pair, options.rounds)
+
+
+def works(
+    dyna: Dyna, config: DynaConfig, hparams: DynaHParams, seed: int
+) -> dict[str, Callable[[], Any]]:
+    """What a run computes, without what is only looked at in it."""
+    dyna, key = dyna._replace(watch=None, diagnose=None), jax.random.key(seed)
+    first = jnp.int32(config.num_real_first)  # from here on there are dreams
+    init = jax.jit(make_init(dyna, config))
+    step = jax.jit(make_step(dyna, config), donate_argnums=0)
+    train = jax.jit(partial(train_model, dyna, config))
+    update = jax.jit(dyna.agent.update, donate_argnums=0)
+    begun, _ = step(init(key, hparams), first, hparams)
+    real, _ = play_real(dyna, config, begun.agent, key, hparams)
+
+    def carried(state: Any, call: Callable[[Any], Any]) -> Callable[[], Any]:
+        held = [state]
+
+        def work() -> None:
+            held[0], _ = jax.block_until_ready(call(held[0]))
+
+        return work
+
+    keys = jax.random.split(key)
+    return {
+        "model update": lambda: jax.block_until_ready(train(begun, *keys, hparams)),
+        "DQN update": carried(
+            init(key, hparams).agent, lambda state: update(state, real, key, hparams.agent)
+        ),
+        "whole episode": carried(init(key, hparams), lambda state: step(state, first, hparams)),
+    }

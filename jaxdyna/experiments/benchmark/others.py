@@ -1,0 +1,76 @@
+"""What is measured outside of this process: rivals, which are no part of the package, and commands,
+each in a process of its own.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+from jaxdyna.experiments.engine import Curves, InputError, Results, programs, storage
+
+PACKAGE = "jaxdyna.experiments"
+EXAMPLES = storage.PACKAGE.parent / "docs" / "examples"
+"""Where the rivals are, in a checkout."""
+BETWEEN = """import json, resource, subprocess, sys, time
+began = time.perf_counter()
+ran = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+unit = 1 if sys.platform == "darwin" else 1024
+print(json.dumps([time.perf_counter() - began, used.ru_maxrss * unit, ran.returncode, ran.stderr]))
+"""
+"""A small process that starts the one that is measured: on Linux a new process's peak of memory is
+at least that of the one that started it.
+"""
+
+
+@cache
+def rival(name: str) -> Any:
+    """A module of `EXAMPLES`; None where it is not there, or what it stands on is not installed."""
+    try:
+        with patch.object(sys, "path", [str(EXAMPLES), *sys.path]):
+            return import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name in (name, "torch", "ale_py"):
+            return None
+        raise
+
+
+class Ran(NamedTuple):
+    """A process that has ended: seconds by the clock on the wall, and the peak of its memory."""
+
+    seconds: float
+    peak_bytes: int
+
+
+def command(*argv: Any, cache: Path | None = None) -> Ran:
+    """Runs Python with these arguments, compiled programs in a folder of their own if anywhere.
+
+    Raises:
+        InputError: where it fails, with the last line of what it says.
+    """
+    words = [sys.executable, "-c", BETWEEN, sys.executable, *map(str, argv)]
+    environment = os.environ | {programs.FOLDER: str(cache)} if cache else None
+    told = subprocess.run(words, env=environment, text=True, stdout=subprocess.PIPE, check=True)
+    seconds, peak, code, said = json.loads(told.stdout)
+    if code:
+        last = (said.strip().splitlines() or ["nothing said"])[-1]
+        raise InputError(f"python {' '.join(words[4:6])} ended with code {code}: {last}")
+    return Ran(seconds, peak)
+
+
+def played(
+    world: str, *flags: Any, cache: Path | None = None
+) -> tuple[Ran, Results, dict[str, Curves]]:
+    """A world's command, cold where there is no cache: its process, ``results.json`` and curves."""
+    with TemporaryDirectory() as folder:
+        out = Path(folder, "result")
+        how = () if cache else ("--no-cache",)
+        ran = command("-m", f"{PACKAGE}.{world}", *flags, *how, "--out", out, cache=cache)
+        return ran, storage.read_json(out / "results.json"), storage.read_curves(out / "curves.npz")

@@ -1,0 +1,111 @@
+"""Steps of environments a second, many of them at once."""
+
+import subprocess
+from collections.abc import Iterable
+from contextlib import ExitStack, suppress
+from functools import partial
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxdyna.envs import CartPole, Maze
+from jaxdyna.envs.gymnasium import gymnasium
+from jaxdyna.experiments.benchmark.others import EXAMPLES, rival
+from jaxdyna.experiments.benchmark.timing import OURS, Work, compared, in_units, jitted
+from jaxdyna.experiments.engine import InputError, Results
+from jaxdyna.trees import where
+from jaxdyna.types import Environment, Key
+
+STEPS = 16
+"""Of a turn. Pushed so for so long, no pole falls."""
+PUSHES = np.resize([0, 1, 1, 0], STEPS)
+
+
+def measure(options: Any) -> Iterable[Results]:
+    """CartPole against Gymnasium's vector environment and gymnax; the Maze against NumPy."""
+    count, rounds, numpys = options.envs, options.rounds, rival("numpy_maze")
+    cartpole, maze, key = CartPole(), Maze(), jax.random.key(options.seed)
+    units, rng = count * STEPS, np.random.default_rng(options.seed)
+    pushes = np.tile(PUSHES[:, None], (1, count))
+    moves = rng.integers(maze.num_actions, size=(STEPS, count))
+    envs: Any = gymnasium.make_vec("CartPole-v1", count, "vector_entry_point")
+
+    def gymnasiums(actions: Iterable[np.ndarray]) -> None:
+        envs.reset(seed=options.seed)
+        for action in actions:
+            envs.step(action)
+
+    def one_maze() -> None:
+        plain = numpys.NumpyMaze(options.seed)
+        plain.reset()
+        for action in moves[:, 0]:
+            plain.step(action)
+
+    yield from compared("CartPole, actions given", "steps/s", {
+        OURS: jitted(partial(given, cartpole), key, pushes, units=units),
+        "Gymnasium": in_units(lambda: gymnasiums(pushes), units),
+    }, rounds)  # fmt: skip
+    with ExitStack() as stack:
+        other = {"gymnax": gymnax(options.gymnax, count, stack)} if options.gymnax else {}
+        yield from compared("CartPole, actions and resets at random", "steps/s", {
+            OURS: jitted(partial(at_random, cartpole, count), key, units=units),
+            "Gymnasium": in_units(lambda: gymnasiums(rng.integers(2, size=pushes.shape)), units),
+            **other,
+        }, rounds)  # fmt: skip
+    yield from compared("Maze, frames", "steps/s", {
+        OURS: jitted(partial(given, maze), key, moves, units=units),
+        "NumPy": numpys and in_units(one_maze, STEPS),
+    }, rounds)  # fmt: skip
+
+
+def given(env: Environment, key: Key, actions: jax.Array) -> Any:
+    """What is seen and earned after a reset by actions ``[T, N]``; the steps are deterministic."""
+    params, (key_step, key_reset) = env.default_params, jax.random.split(key)
+    starts = jax.random.split(key_reset, actions.shape[1])
+    _, state = jax.vmap(env.reset, (0, None))(starts, params)
+
+    def step(state: Any, action: jax.Array) -> Any:
+        played = jax.vmap(env.step, (None, 0, 0, None))(key_step, state, action, params)
+        obs, state, *earned, _ = played
+        return state, (obs, earned)
+
+    return jax.lax.scan(step, state, actions)[1]
+
+
+def at_random(env: Environment, count: int, key: Key) -> Any:
+    """The same by actions at random, those that are over reset; numbers are drawn for all steps at
+    once.
+    """
+    params, (key_step, key_actions, key_resets) = env.default_params, jax.random.split(key, 3)
+    actions = jax.random.randint(key_actions, (STEPS, count), 0, env.num_actions)
+    keys = jax.random.split(key_resets, (STEPS + 1, count))
+    _, states = jax.vmap(jax.vmap(env.reset, (0, None)), (0, None))(keys, params)
+    first, fresh = (jax.tree.map(itemgetter(rows), states) for rows in (0, slice(1, None)))
+
+    def step(state: Any, drawn: Any) -> Any:
+        action, new = drawn
+        played = jax.vmap(env.step, (None, 0, 0, None))(key_step, state, action, params)
+        obs, state, reward, terminated, truncated, _ = played
+        over = terminated | truncated
+        return jax.vmap(where)(over, new, state), (obs, reward, terminated, truncated)
+
+    return jax.lax.scan(step, first, (actions, fresh))[1]
+
+
+def gymnax(python: Path, count: int, stack: ExitStack) -> Work:
+    """Work of another interpreter, which plays a turn whenever it is sent a line."""
+    words = [str(python), str(EXAMPLES / "gymnax_cartpole.py"), str(count), str(STEPS)]
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    process: Any = stack.enter_context(subprocess.Popen(words, bufsize=0, **pipes))
+    stack.callback(process.stdin.close)
+
+    def turn() -> None:
+        with suppress(BrokenPipeError):
+            process.stdin.write(b"\n")
+        if not process.stdout.readline():
+            raise InputError(f"--gymnax {python} cannot play: install gymnax there")
+
+    return in_units(turn, count * STEPS)
