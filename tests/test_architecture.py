@@ -129,4 +129,5 @@ def test_one_loop_over_pieces():
                 name = getattr(node.func, "attr", getattr(node.func, "id", ""))
                 calls.get(name, set()).add(str(path.relative_to(EXPERIMENTS)))
     assert calls["piece"] == {"engine/work.py"}
-    assert calls["make_step"] == {"study/arms.py"} and not calls["make_advance"]
+    alone = "benchmark/frames.py"  # times one episode
+    assert calls["make_step"] == {"study/arms.py", alone} and not calls["make_advance"]
