@@ -96,9 +96,11 @@ class Plan:
         module, *flags = shlex.split(self.command)
         try:
             parts, flags, prog = command_of(f"{PACKAGE}.{module}", *flags)
-        except (ImportError, AttributeError):
+        except ImportError:
+            parts = ()
+        if not parts:
             said = f"python -m {PACKAGE}.{module}"
-            raise ValueError(f"{self.name}: there is no such experiment: {said}") from None
+            raise ValueError(f"{self.name}: there is no such experiment: {said}")
         return prepared(parts, [*flags, "--shard", f"{number}/{of}"], prog)
 
 
