@@ -28,8 +28,9 @@ class BenchmarkOptions(Options):
     what: tuple[str, ...] = setting(WHAT, "which measurements", choices=WHAT, everyday=True)
     rounds: int = setting(5, "turns of each side; medians of them count", at_least=1, everyday=True)
     runs: tuple[int, ...] = setting(
-        (10, 100), "of whole: numbers of runs, the smallest first", at_least=1, everyday=True
-    )
+        (10, 100), "of whole: numbers of runs, the smallest first", at_least=1, at_most=10**6,
+        everyday=True,
+    )  # fmt: skip
     envs: int = setting(1024, "of steps: environments at once", at_least=1, everyday=True)
     gymnax: Path | None = setting(
         None, "of steps: the interpreter of an environment with gymnax 1.0; None: without it",
@@ -43,7 +44,7 @@ class BenchmarkOptions(Options):
         everyday=True,
     )  # fmt: skip
     sizes: tuple[int, ...] = setting(
-        (1, 10, 100, 1000), "of sweeps: numbers of runs", at_least=1, everyday=True
+        (1, 10, 100, 1000), "of sweeps: numbers of runs", at_least=1, at_most=10**6, everyday=True
     )
     sweep_episodes: int = setting(10, "of sweeps: real episodes of each run", at_least=2)
 
