@@ -185,6 +185,9 @@ def test_what_a_real_step_has_to_cost_by_hand(tmp_path):
     assert break_even(on_one) == pytest.approx((4, 1, 4000))
     assert break_even(results, "model_free", "dyna") is None  # it saves nothing
     assert break_even(results | {"timing": {"arms": {"dyna": {"run_s": 1.0}}}}) is None
+    unsolved = results["arms"]["dyna"]["real_steps_to_solve"] | {"solved": 0}
+    dyna = results["arms"]["dyna"] | {"real_steps_to_solve": unsolved}
+    assert break_even(results | {"arms": results["arms"] | {"dyna": dyna}}) is None
     assert "longer than **8,000 ms**: a run of dyna computes for 8 s more" in report._price(results)
 
 

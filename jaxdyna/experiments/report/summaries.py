@@ -144,7 +144,8 @@ def break_even(
     Returns:
         Seconds of computing that a run of the arm takes beyond one of the baseline, the real steps
         before the solving window that it saves (restricted means), and the one over the other in
-        milliseconds a real step. None where seconds are not known, or where nothing is saved.
+        milliseconds a real step. None where seconds are not known, where nothing is saved, or no
+        run of the arm has solved.
 
     Seconds are a core's, or a device's, of whole runs, as long as they were played: where these go
     on after they have solved, dreams are charged for that as well.
@@ -152,6 +153,8 @@ def break_even(
     spent, arms, device = (results.get(name, {}) for name in ("timing", "arms", "device"))
     seconds = [spent.get("arms", {}).get(name, {}).get("run_s") for name in (arm, baseline)]
     if None in seconds or spent.get("shards", 1) > 1 or not {arm, baseline} <= arms.keys():
+        return None
+    if not arms[arm]["real_steps_to_solve"].get("solved"):
         return None
     runs, block = len(results["runs"]["seeds"]), results["runs"]["block"]
     workers = device["cpu_cores"] if device["platform"] == "cpu" else device["count"]
