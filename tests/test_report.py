@@ -172,7 +172,7 @@ def test_what_a_real_step_has_to_cost_by_hand(tmp_path):
     1 real step of 5 on average: 8 s for it.
     """
     arms = {
-        name: {"real_steps_to_solve": {"per_seed": steps, "restricted_mean": mean}}
+        name: {"real_steps_to_solve": {"per_seed": steps, "restricted_mean": mean, "solved": 3}}
         for name, steps, mean in (("dyna", [3, 5] * 3, 4), ("model_free", [4, None] * 3, 5))
     }
     results = {
