@@ -150,13 +150,10 @@ class Maze(Pictures):
 
     def frame(self, state: MazeState) -> jax.Array:
         """What the state looks like, uint8 ``[size, size, 3]``."""
-        rows, columns = jnp.arange(self.size)[:, None], jnp.arange(self.size)
-
-        def at(cells):
-            return ((cells[:, 0, None, None] == rows) & (cells[:, 1, None, None] == columns)).any(0)
-
-        layers = [at(state.obstacles), at(state.goal[None]), at(state.agent[None])]
-        return jnp.stack(layers, axis=-1).astype(jnp.uint8) * jnp.uint8(255)
+        cells = jnp.concatenate([state.obstacles, state.goal[None], state.agent[None]])
+        channels = np.array([0] * self.num_obstacles + [1, 2])
+        dark = jnp.zeros(self.frame_shape, jnp.uint8)
+        return dark.at[cells[:, 0], cells[:, 1], channels].set(255)
 
     def render(self, state: MazeState, params: MazeParams) -> jax.Array:
         """The frame for people, about 256 pixels a side: `enlarge` of it."""
