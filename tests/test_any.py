@@ -32,6 +32,9 @@ def number():
 class Board(Catch):
     def observation_space(self, params):
         return gymnasium.spaces.Box(0, 1, (self.rows, self.columns))
+
+class Endless(Catch):
+    default_params = ()
 """
 
 
@@ -66,6 +69,9 @@ def test_worlds_have_names(module):
     ("gymnasium:FrozenLake-v1", "FlattenObservation"),
     ("worlds_of_mine:Board", "Board is seen as Box(0.0, 1.0, (10, 5)"),
     ("worlds_of_mine:number", "makes a int, no environment"),
+    ("jaxdyna:Maze(6)", "is no world: give gymnasium:ID"),
+    ("os:system(command='exit 1')", "system makes no environment"),
+    ("worlds_of_mine:Endless", "default_params have no max_steps"),
 ])  # fmt: skip
 def test_bad_worlds_are_one_line(module, said, answer, capsys):
     with pytest.raises(SystemExit, match="2"):

@@ -149,7 +149,12 @@ def test_a_report_is_made_of_what_was_measured(alone, tmp_path):
     results, text = (tmp_path / name for name in ("results.json", "report.md"))
     found = json.loads(results.read_text())
     rows = found["steps"]["rows"] + found["dreams"]["rows"]
-    assert [row["whose"] for row in rows] == ["Gymnasium", "Gymnasium", "NumPy", "PyTorch"]
+    assert [row["whose"] for row in rows] == [
+        "Gymnasium",
+        "Gymnasium",
+        "NumPy, one core",
+        "PyTorch",
+    ]
     assert all(row["ratio"] > 0 for row in rows[:3]) and found["whole"] is None
     assert rows[3]["theirs"] is None and rows[3]["share"] > 0
     assert set(found["dreams"]["yardstick"]) == {"one"}

@@ -171,6 +171,11 @@ NEW = {
         "--dyna.model-updates", "2", "--agent.updates", "2", "--agent.fake-updates", "2",
         "--arms", "dyna", "--sweep", "hparams.agent.learning_rate=0.001,0.002",
     ],
+    "any": [
+        "any", "--env", "gymnasium:CartPole-v1", "--seeds", "1", "--episodes", "8",
+        "--hparams.env.max-steps", "30", "--dyna.num-real-first", "4", "--dyna.model-updates", "2",
+        "--dyna.eval-every", "4", "--agent.fake-updates", "2", "--arms", "dyna",
+    ],
 }  # fmt: skip
 """What the old tree did not have, or measured otherwise."""
 

@@ -126,27 +126,29 @@ class Run:
         """A gradient step on a batch of all that was kept."""
         self.model.update(random.choices(self.replay, k=MODEL_BATCH))
 
-    def dream(self, count: int, longest: int = STEPS) -> tuple[list[Tensor], list[Tensor]]:
-        """Log probabilities and rewards of fake episodes, stepped together, each to its end."""
+    @torch.no_grad()
+    def dream(self, count: int, longest: int = STEPS) -> tuple[Tensor, ...]:
+        """States ``[N, T, 4]``, actions and rewards ``[N, T]`` of fake episodes, stepped together,
+        and which of these steps there are.
+        """
         obs = torch.as_tensor(np.stack(random.choices(self.starts, k=count)))
         alive, steps = torch.ones(count, dtype=torch.bool), []
         while len(steps) < longest and alive.any():
-            action, log_prob = self.act(obs)
-            obs, reward, end = self.model.predict(obs, action)
-            steps.append((log_prob, reward, alive))
-            alive = alive & (end <= self.ends_above)
-        log_prob, reward, there = (torch.stack(one, dim=1) for one in zip(*steps, strict=True))
-        length = there.sum(1).tolist()
-        return tuple(
-            [row[:last] for row, last in zip(one, length, strict=True)]
-            for one in (log_prob, reward)
-        )
+            action = self.policy(obs).softmax(1).multinomial(1)[:, 0]
+            next_obs, reward, end = self.model.predict(obs, action)
+            steps.append((obs, action, reward, alive))
+            obs, alive = next_obs, alive & (end <= self.ends_above)
+        return tuple(torch.stack(one, dim=1) for one in zip(*steps, strict=True))
 
     def learn_from_dreams(self) -> int:
         """An update of the policy on fake episodes; returns the number of fake steps."""
         counts = [DREAM_EPISODES] if self.batched else [1] * DREAM_EPISODES
-        dreams = [self.dream(count) for count in counts]
-        log_probs, rewards = ([one for dream in dreams for one in dream[i]] for i in (0, 1))
+        log_probs, rewards = [], []
+        for obs, action, reward, there in map(self.dream, counts):
+            log_prob = Categorical(logits=self.policy(obs), validate_args=False).log_prob(action)
+            for row, last in enumerate(there.sum(1).tolist()):
+                log_probs.append(log_prob[row, :last])
+                rewards.append(reward[row, :last])
         self.learn(log_probs, rewards)
         return sum(map(len, rewards))
 

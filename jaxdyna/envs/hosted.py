@@ -62,7 +62,7 @@ def from_gymnasium(make: Make, num_envs: int) -> "Hosted":
     """
     check_counts(num_envs=num_envs)
     env = Hosted(make, num_envs)
-    assert env.host.first
+    env.host.first.reset([0])  # where its lanes cannot be begun so, it is refused here
     return env
 
 
@@ -110,9 +110,7 @@ class Hosted(Discrete):
     @property
     def default_params(self) -> HostedParams:
         """With the world's own time limit, or without one `UNLIMITED`."""
-        return HostedParams(
-            getattr(self.host.first.env.spec, "max_episode_steps", None) or UNLIMITED
-        )
+        return HostedParams(getattr(self.host.first.spec, "max_episode_steps", None) or UNLIMITED)
 
     @property
     def num_actions(self) -> int:  # type: ignore[override]
@@ -122,7 +120,7 @@ class Hosted(Discrete):
     @property
     def reward_threshold(self) -> float | None:
         """The mean return at which Gymnasium calls it solved; None where it does not say."""
-        return getattr(self.host.first.env.spec, "reward_threshold", None)
+        return getattr(self.host.first.spec, "reward_threshold", None)
 
     def observation_space(self, params: HostedParams) -> spaces.Box:
         """The world's; of vectors float32."""
@@ -176,13 +174,22 @@ class Worlds:
             raise ValueError(f"actions are {self.actions}, not Discrete: {WRAP}TransformAction")
         self.mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         self.names: list[bytes | None] = [None] * (env.num_envs if self.vector else 1)
+        self.spec = getattr(env, "spec", None) or getattr((*getattr(env, "envs", ()), env)[0],
+                                                          "spec", None)  # fmt: skip
 
     def reset(self, seeds: Sequence[int]) -> list[np.ndarray]:
         """First observations of as many lanes as there are seeds."""
         if not self.vector:
             return [self._seen(self.env.reset(seed=seeds[0])[0])]
         others = [0] * (len(self.names) - len(seeds))
-        return list(self._seen(self.env.reset(seed=[*seeds, *others])[0]))[: len(seeds)]
+        try:
+            obs, _ = self.env.reset(seed=[*seeds, *others])
+        except gymnasium.error.Error as error:
+            raise ValueError(
+                f"lanes cannot have seeds of their own ({error}): make them by gymnasium.make_vec "
+                'with vectorization_mode="sync"'
+            ) from None
+        return list(self._seen(obs))[: len(seeds)]
 
     def step(self, actions: Mapping[int, int]) -> list[tuple[np.ndarray, float, bool, bool]]:
         """What a step brought each lane, ``obs, reward, terminated, truncated``; those without an
@@ -248,9 +255,11 @@ class Host:
         what came of it then.
         """
         moves: defaultdict[Worlds, dict[int, int]] = defaultdict(dict)
+        names = {row[:8] for row in asked.values()}
         for number, row in asked.items():
             if found := self.standing.get(row[:8]):
-                worlds, lane = found[-1]
+                # equal episodes may stand in several vectors: one that is asked for as a whole
+                worlds, lane = max(found, key=lambda one: {*one[0].names} <= {None, *names})
                 self._stand(worlds, lane, None)
                 moves[worlds][lane] = number
         answers = {}
@@ -270,7 +279,8 @@ class Host:
             said = f"num_envs is {self.num_envs}: more episodes are played at once; raise it"
             raise RuntimeError(said)
         answers |= {n: self.said[row] for n, row in asked.items() if n not in answers}
-        while len(self.said) > 2 * self.num_envs:
+        most = max(2 * len(self.every) * len(self.first.names), len(asked))
+        while len(self.said) > most:
             del self.said[next(iter(self.said))]
         return answers
 

@@ -3,7 +3,9 @@
 import ast
 import difflib
 import importlib
+import sys
 from functools import cache, partial
+from inspect import isclass, isfunction
 from types import ModuleType
 from typing import Any
 
@@ -29,11 +31,14 @@ def named(said: str) -> Any:
         return from_gymnasium(said.partition(":")[2], AT_ONCE)
     name, given = _call(said)
     found = _module(module_of(said))
-    make = getattr(found, name, None)
-    if not callable(make):
+    make: Any = getattr(found, name, None)
+    if make is None:
         near = difflib.get_close_matches(name, dir(found), n=1)
         hint = f": did you mean {near[0]}?" if near else ""
         raise ValueError(f"{found.__name__} has no {name}{hint}")
+    home = str(getattr(make, "__module__", "")).partition(".")[0]
+    if home in sys.stdlib_module_names or not (isclass(make) or isfunction(make)):
+        raise ValueError(f"{said}: {name} makes no environment: name a class or function that does")
     try:
         made = make(**given)
     except TypeError as error:
@@ -42,12 +47,17 @@ def named(said: str) -> Any:
         return _checked(made)
     if not hasattr(made, "action_space") and not hasattr(made, "single_action_space"):
         raise ValueError(f"{said} makes a {type(made).__name__}, no environment: name another")
-    return from_gymnasium(partial(make, **given), AT_ONCE)
+    if hasattr(made, "close"):  # the host makes its own
+        made.close()
+    again: Any = partial(make, **given)
+    return from_gymnasium(again, AT_ONCE)
 
 
 def _checked(env: Any) -> Any:
     """The pure environment, where it is seen as `jaxdyna.dyna.frames.parts` takes it."""
     check_part("the world", env, "reset", "step", "num_actions", "observation_space")
+    if not hasattr(env.default_params, "max_steps"):
+        raise ValueError(f"{type(env).__name__}'s default_params have no max_steps: add it")
     space = env.observation_space(env.default_params)
     if len(space.shape) == 1 or (len(space.shape) == 3 and space.dtype == np.uint8):
         return env
@@ -67,6 +77,8 @@ def _call(said: str) -> tuple[str, dict[str, Any]]:
         call = ast.parse(said.partition(":")[2], mode="eval").body
         name = ast.unparse(call.func if isinstance(call, ast.Call) else call)
         keywords = call.keywords if isinstance(call, ast.Call) else []
+        if getattr(call, "args", []) or not all(one.arg for one in keywords):
+            raise ValueError
         given = {str(one.arg): ast.literal_eval(one.value) for one in keywords}
     except (SyntaxError, ValueError):
         raise ValueError(f"{said} is no world: give {FORMS}") from None
@@ -77,5 +89,7 @@ def _module(name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        said = f"there is no module {error.name}: give {FORMS}, of a module in this folder"
+        if error.name not in (name, name.partition(".")[0]):
+            raise ValueError(f"{name} cannot be imported: {error}") from None
+        said = f"there is no module {error.name}: put its folder on PYTHONPATH, or give {FORMS}"
         raise ValueError(said) from None

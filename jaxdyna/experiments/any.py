@@ -36,7 +36,7 @@ class World:
     """What decides which settings there are."""
 
     env: str | None = setting(None, FORMS)
-    agent: Literal["dqn", "reinforce"] = setting("dqn", "who acts")
+    agent: Literal["dqn", "reinforce"] | None = setting(None, "who acts; None: a DQN")
     from_: Annotated[Path | None, tyro.conf.arg(name="from")] = setting(None, "a results.json")
 
 
@@ -180,9 +180,9 @@ def command_parts(flags: Sequence[str]) -> tuple[list[engine.Experiment], list[s
     helping = [word for word in flags if word in ("-h", "--help", "--help-all")]
     asked = [word for word in flags if word not in helping]
     said, rest = cli.read(World, asked, PROG, return_unknown_args=True)
-    earlier = storage.read_json(said.from_).get("config", {}) if said.from_ else {}
+    earlier = ((storage.read_json(said.from_) or {}) if said.from_ else {}).get("config", {})
     rest = [*rest, *helping, *(("--from", str(said.from_)) if said.from_ else ())]
-    env, agent = said.env or earlier.get("env"), earlier.get("learner", said.agent)
+    env, agent = said.env or earlier.get("env"), said.agent or earlier.get("learner", "dqn")
     if env is None and helping:
         return [experiment("jaxdyna:CartPole", agent)], rest, f"{PROG} --env WORLD"
     if env is None:

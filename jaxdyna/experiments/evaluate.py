@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
@@ -68,9 +69,12 @@ def returns(left: Loaded, arm: str, seed: int | None, call: Call) -> np.ndarray:
     if not call.gymnasium:
         return left.returns(arm, seed, call.episodes)
     run = left.trained(arm, seed)
-    name = getattr(run.env, "gymnasium_id", None)
+    world: Any = run.env
+    if getattr(world, "num_frames", 0) == 1:
+        world = world.env
+    name = getattr(world, "gymnasium_id", None)
     if name is None:
-        raise ValueError(f"--gymnasium: it has no {type(run.env).__name__} of its own")
+        raise ValueError(f"--gymnasium: it has no {type(world).__name__} of its own")
     return play(name, run.policy, left.options.seed, call.episodes, int(run.params.max_steps))
 
 

@@ -40,8 +40,9 @@ def sweeps(options: Any) -> Iterable[Results]:
         spent = results["timing"]
         for kind, also in zip(costs, (spent["compile_s"], 0.0), strict=True):
             costs[kind].append((spent["run_s"] + also) / count)
-            yield row(f"{count:,} runs, a run's share, {kind}", "s", costs[kind][-1],
-                      f"{options.sizes[0]} runs", costs[kind][0])  # fmt: skip
+            first, beside = costs[kind][0], f"{options.sizes[0]} runs"
+            what, theirs = f"{count:,} runs, a run's share, {kind}", costs[kind][1:] and first
+            yield row(what, "s", costs[kind][-1], beside, theirs or None)
 
 
 def start(options: Any) -> Iterable[Results]:

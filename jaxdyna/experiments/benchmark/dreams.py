@@ -10,26 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.envs import CartPole
-from jaxdyna.experiments.benchmark.others import rival
-from jaxdyna.experiments.benchmark.timing import (
-    OURS,
-    PYTORCH,
-    Work,
-    compared,
-    in_units,
-    jitted,
-    product,
-)
+from jaxdyna.experiments.benchmark.others import by_threads, rival
+from jaxdyna.experiments.benchmark.timing import OURS, PYTORCH, Work, compared, jitted, product
 from jaxdyna.experiments.cartpole.arms import parts
 from jaxdyna.experiments.cartpole.options import TUNED
-from jaxdyna.experiments.engine import Results, storage
+from jaxdyna.experiments.engine import Results
 from jaxdyna.models import DreamHParams, LearnedEnvironment, LearnedParams, uniform_start
 from jaxdyna.rollout import rollout
 from jaxdyna.types import Key
 
 STEPS = 32
-WIDE = 1024
-"""Episodes from which PyTorch has all cores: with fewer it is faster with one."""
 
 
 def measure(options: Any) -> Iterable[Results]:
@@ -55,20 +45,14 @@ def measure(options: Any) -> Iterable[Results]:
         units = batch * STEPS
         works = {
             OURS: jitted(partial(play, batch), agent, known, keys[2], units=units),
-            PYTORCH: theirs and torchs(theirs, batch),
+            **(torchs(theirs, batch) if theirs else {PYTORCH: None}),
         }
         ceiling = product(1, batch, hidden[0], options.rounds) / operations
         yield from compared(f"{batch:,} dreams", "steps/s", works, options.rounds, ceiling)
 
 
-def torchs(theirs: Any, batch: int) -> Work:
+def torchs(theirs: Any, batch: int) -> dict[str, Work]:
     """So many dreams of PyTorch's together."""
     run = theirs.Run(seed=0, ends_above=1.0)
     run.starts = [np.zeros(4, np.float32)]
-
-    @theirs.torch.no_grad()
-    def dream() -> None:
-        theirs.torch.set_num_threads(storage.cores() if batch >= WIDE else 1)
-        run.dream(batch, STEPS)
-
-    return in_units(dream, batch * STEPS)
+    return by_threads(theirs.torch, partial(run.dream, batch, STEPS), batch * STEPS)

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, make_init, make_step
 from jaxdyna.dyna.loop import play_real, train_model
 from jaxdyna.envs import Maze
-from jaxdyna.experiments.benchmark.others import rival
+from jaxdyna.experiments.benchmark.others import by_threads, rival
 from jaxdyna.experiments.benchmark.timing import OURS, PYTORCH, compared, in_units
-from jaxdyna.experiments.engine import Results, storage
+from jaxdyna.experiments.engine import Results
 from jaxdyna.experiments.maze import arms as maze
 from jaxdyna.experiments.maze.options import TUNED as MAZE
 from jaxdyna.experiments.pong import arms as pong
@@ -45,8 +45,6 @@ WORLDS: dict[str, Any] = {"Maze": (MAZE, maze_parts), "Pong": (PONG, pong_parts)
 def measure(options: Any) -> Iterable[Results]:
     """The Maze by `tuned`, Pong by `paper`."""
     theirs = rival("torch_frames")
-    if theirs:
-        theirs.torch.set_num_threads(storage.cores())
     for name in options.worlds:
         preset, make = WORLDS[name]
         setup, other = preset.resolved(), theirs and theirs.Learner(getattr(theirs, name.upper()))
@@ -56,8 +54,10 @@ def measure(options: Any) -> Iterable[Results]:
             other.real_episode()  # something to learn from
         calls = other and (other.train_model, partial(other.learn, units[1]), other.episode)
         for number, (what, work) in enumerate(ours.items()):
-            pair = {OURS: in_units(work, units[number])}
-            pair[PYTORCH] = other and in_units(calls[number], units[number])
+            pair = {OURS: in_units(work, units[number]), PYTORCH: None}
+            if other:
+                pair |= by_threads(theirs.torch, calls[number], units[number])
+                del pair[PYTORCH]
             yield from compared(f"{name}, {what}", "ms", pair, options.rounds)
 
 

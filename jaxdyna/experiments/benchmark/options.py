@@ -44,7 +44,7 @@ class BenchmarkOptions(Options):
         everyday=True,
     )  # fmt: skip
     sizes: tuple[int, ...] = setting(
-        (1, 10, 100, 1000), "of sweeps: numbers of runs", at_least=1, at_most=10**6, everyday=True
+        (10, 100, 1000), "of sweeps: numbers of runs", at_least=1, at_most=10**6, everyday=True
     )
     sweep_episodes: int = setting(10, "of sweeps: real episodes of each run", at_least=2)
 

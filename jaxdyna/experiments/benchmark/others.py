@@ -6,16 +6,20 @@ import json
 import os
 import subprocess
 import sys
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
+from jaxdyna.experiments.benchmark.timing import PYTORCH, Work
 from jaxdyna.experiments.engine import Curves, InputError, Results, programs, storage
 
 PACKAGE = "jaxdyna.experiments"
+OTHERS = ("JAX_COMPILATION_CACHE_DIR",)
+"""A cache of programs that is not ours: with it no start is cold."""
 EXAMPLES = storage.PACKAGE.parent / "docs" / "examples"
 """Where the rivals are, in a checkout."""
 BETWEEN = """import json, resource, subprocess, sys, time
@@ -42,6 +46,20 @@ def rival(name: str) -> Any:
         raise
 
 
+def by_threads(torch: Any, call: Callable[[], Any], units: float) -> dict[str, Work]:
+    """A call of PyTorch's as work of so many units, by one thread and by one a core: which is the
+    faster depends on the work, and on who else uses the machine.
+    """
+
+    def work(count: int) -> float:
+        torch.set_num_threads(count)
+        call()
+        return units
+
+    counts = sorted({1, storage.cores()})
+    return {f"{PYTORCH}, threads: {count}": partial(work, count) for count in counts}
+
+
 class Ran(NamedTuple):
     """A process that has ended: seconds by the clock on the wall, and the peak of its memory."""
 
@@ -56,7 +74,8 @@ def command(*argv: Any, cache: Path | None = None) -> Ran:
         InputError: where it fails, with the last line of what it says.
     """
     words = [sys.executable, "-c", BETWEEN, sys.executable, *map(str, argv)]
-    environment = os.environ | {programs.FOLDER: str(cache)} if cache else None
+    kept = {name: value for name, value in os.environ.items() if name not in OTHERS}
+    environment = kept | ({programs.FOLDER: str(cache)} if cache else {})
     told = subprocess.run(words, env=environment, text=True, stdout=subprocess.PIPE, check=True)
     seconds, peak, code, said = json.loads(told.stdout)
     if code:

@@ -11,7 +11,8 @@ SAID = {
     "compiling, evaluating, judging and drawing. Beside it the same algorithm in PyTorch and "
     "Gymnasium, **extrapolated**: its pieces, timed in turns with ours, times their numbers in "
     "just these runs, each up to its own end, over the number of cores, as if as many processes "
-    "at once took no longer than one.",
+    "at once took no longer than one. Ours is played three times with the smallest number of runs, "
+    "once with more.",
     "steps": "Many environments at once; all that steps return is kept. Given: poles pushed to and "
     "fro for 16 steps after a reset, so that none falls. At random: actions drawn in every step; "
     "what is over is reset. NumPy plays one Maze at a time.",
@@ -20,10 +21,10 @@ SAID = {
     "frames": "One run on all cores, each batch drawn from its replay: the Maze by `tuned`, Pong's "
     "arm `dyna_l2` by `paper`, without what is only looked at. PyTorch steps dreams together, its "
     "replay is a list of transitions, its Pong the Atari 2600's; ours is the pure game.",
-    "sweeps": "CartPole's `dyna` by `tuned`, compiled anew, dreaming from the middle on.",
+    "sweeps": "CartPole's `dyna` by `tuned`, compiled anew, dreaming from the middle; once each.",
     "start": "Each in a process of its own. The result is that of a short run of CartPole's two "
-    "arms, with a cache of programs that is empty, then full.",
-    "memory": "The peak of a process, beside the state of all its runs.",
+    "arms, with a cache of programs that is empty, then full, once each.",
+    "memory": "The peak of a process, beside the state of all its runs; once each.",
 }  # fmt: skip
 BESIDE = ("whole", "steps", "dreams", "frames")
 """What others are beside."""
@@ -84,10 +85,11 @@ def machine(record: Record) -> str:
     """Where, and how to read the tables."""
     device, rounds = record.results["device"], record.options.rounds
     return (
-        f"On {device['cpu_cores']} cores ({device['platform']}). Both sides in turns, {rounds} "
-        "each; medians. A ratio is the other's time, or bytes, over ours, turn by turn: above 1 "
-        "ours is the faster. Seconds are this machine's, ratios less so; what it does at all in "
-        "large products stands below each table."
+        f"On {device['cpu_cores']} cores ({device['platform']}; PyTorch and NumPy on the CPU). "
+        f"Where it is not said otherwise, both sides in turns, {rounds} each; medians. A ratio is "
+        "the other's time, or bytes, over ours, turn by turn: above 1 ours is the faster. Seconds "
+        "are this machine's, ratios less so; what it does at all in large products stands below "
+        "each table."
     )
 
 

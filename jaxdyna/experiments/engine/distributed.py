@@ -170,7 +170,7 @@ class Processes:
         for line in self.child.stdout:
             self.replies.put(line.strip())
         code = self.child.wait()
-        if self.ending.is_set():
+        if self.ending.is_set() or self.interrupted.is_set():  # who was told to end is not lost
             return
         self.log.seek(0)
         named = {int(one or other) + 1 for one, other in LOST.findall(self.log.read())}

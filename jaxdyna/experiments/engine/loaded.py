@@ -22,7 +22,8 @@ from jaxdyna.fields import check_counts
 
 
 def load(folder: str | Path, *parts: Experiment | Study) -> Loaded:
-    """Opens the folder of a run, wherever it lies. Nothing in it is run as code.
+    """Opens the folder of a run, wherever it lies. Nothing in it is run as code, but the module of
+    its experiment, and of a world of one's own, is imported by the name that it says.
 
     Args:
         folder: that ``--out`` named.

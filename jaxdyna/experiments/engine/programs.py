@@ -135,7 +135,7 @@ def _is_whole(entry: bytes) -> bool:
 
 
 def optimised(level: int, place: jax.Device) -> dict[str, Any]:
-    """How XLA compiles on a CPU: what is seldom run to level 1, in less than half the time."""
+    """To what level XLA optimises on a CPU: 1 takes less than half the time of 3."""
     option = "xla_backend_optimization_level"
     told = option in os.environ.get("XLA_FLAGS", "")
     return {} if told or level == 3 or place.platform != "cpu" else {option: level}

@@ -592,9 +592,9 @@ class _Block:
         calls, whole = self.program.calls, not broken.any()
         kept = whole and self.pool.runs.seed[row] < self.pool.keep
         asked = {"judge": True, "show": first and whole, "keep": kept}
-        held = self.state, self.data, self.hparams
+        held, own = (self.state, self.data, self.hparams), self.pool.judging[row]
         for name in (name for name in HOOKS if asked[name] and name in calls):
-            key = jax.random.fold_in(self.pool.judging[row], HOOKS.index(name))
+            key = jax.random.fold_in(own, HOOKS.index(name))
             judged = calls[name](*self._put((key, np.int32(lane))), held)
             if name == "keep":
                 hparams = jax.tree.map(itemgetter(row), self.pool.runs.hparams)
