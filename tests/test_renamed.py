@@ -10,6 +10,7 @@ import pytest
 from renamed import respelled, respelled_settings
 
 from jaxdyna import fields
+from jaxdyna.experiments.engine.distributed import taken
 from jaxdyna.experiments.engine.session import prepared
 
 ROOT = Path(__file__).parents[1]
@@ -19,13 +20,14 @@ DIARIES = [ROOT / "experiments" / "README.md", ROOT / "docs" / "development-log.
 """Their commands keep the spelling of their day."""
 TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = sorted({*TEXTS, *DIARIES})
-NO_EXPERIMENT = "(?:merge|record)"
+NO_EXPERIMENT = "(?:merge|record|evaluate|any)"
+"""Or experiments of worlds that need not be here: `test_any` parses these."""
 
 
 def parsed(module, arguments):
     """The settings that a command line comes to."""
     parts = importlib.import_module(f"jaxdyna.experiments.{module}").PARTS
-    return prepared(parts, arguments, f"{PROG}{module}").options
+    return prepared(parts, taken(arguments)[0], f"{PROG}{module}").options
 
 
 def commands(text):
