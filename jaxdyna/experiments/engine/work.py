@@ -245,25 +245,24 @@ class Engine:
         Raises:
             InputError: where there is too little memory.
         """
-        took, made = {}, {}
-        for work, runs in zip(map(self._asked, several), several.values(), strict=True):
-            if not work.collect:
-                began, blocks = time.perf_counter(), -(-len(runs.seed) // work.block)
-                made[work] = self._lowered(work, runs, None, places(self.workers)[:blocks])
-                took[work] = time.perf_counter() - began
 
-        def compiled(work: Work) -> float:
+        def compiled(made: Mapping[Any, _Program]) -> float:
             began = time.perf_counter()
-            self._compile(made[work])
+            self._compile(made)
             return time.perf_counter() - began
 
-        began = time.perf_counter()
-        with ThreadPoolExecutor(max(len(made), 1)) as pool:
-            each = [*pool.map(compiled, made)]
-        share = (time.perf_counter() - began) / max(sum(each), 1e-9)
-        self.prepared |= {
-            work: took[work] + share * one for work, one in zip(made, each, strict=True)
-        }
+        began, took, rest = time.perf_counter(), {}, {}
+        with ThreadPoolExecutor(max(len(several), 1)) as pool:  # one compiles as the next is traced
+            for work, runs in zip(map(self._asked, several), several.values(), strict=True):
+                if not work.collect:
+                    traced, blocks = time.perf_counter(), -(-len(runs.seed) // work.block)
+                    made = self._lowered(work, runs, None, places(self.workers)[:blocks])
+                    took[work] = time.perf_counter() - traced
+                    rest[work] = pool.submit(compiled, made)
+        for work, part in rest.items():
+            took[work] += part.result()
+        share = (time.perf_counter() - began) / max(sum(took.values()), 1e-9)
+        self.prepared |= {work: share * one for work, one in took.items()}
 
     def _asked(self, work: Work) -> Work:
         return work if self.keep else work._replace(trained=None)
