@@ -72,16 +72,38 @@ def test_a_row_has_medians_and_the_ratios_of_turns():
     assert timing.row("x", "steps/s", 0.5, "other", ceiling=8.0)["share"] == 0.25
 
 
+def starts(*shape: int):
+    """Of CartPole's episodes, of that shape."""
+    reset, keys = jax.vmap(CartPole().reset, (0, None)), jax.random.split(jax.random.key(1), shape)
+    return jax.vmap(lambda keys: reset(keys, CartPole().default_params))(keys)
+
+
 def test_given_actions_play_without_an_end():
     pushes = np.tile(steps.PUSHES[:, None], (1, 4096))
-    obs, (_, terminated, truncated) = steps.given(CartPole(), jax.random.key(0), pushes)
-    assert obs.shape == (steps.STEPS, 4096, 4) and not (terminated | truncated).any()
+    (obs, state), (reward, terminated, truncated) = steps.given(
+        CartPole(), jax.random.key(0), starts(2, 4096), pushes
+    )
+    assert obs.shape == (2, 4096, 4) and reward.shape == (2, steps.STEPS, 4096)
+    assert (state.time == steps.STEPS).all() and not (terminated | truncated).any()
+    np.testing.assert_array_equal(obs[..., 2], state.theta)
+
+
+def test_no_pole_falls_before_the_shortest_episode_is_over():
+    """From the corners of what starts are drawn from, always pushed the same way."""
+    env, ends = CartPole(), np.array(list(np.ndindex(2, 2, 2, 2)), np.float32) * 0.1 - 0.05
+    pushes = np.ones((steps.SHORTEST, len(ends)), int)
+    start = (jnp.asarray(ends)[None], jax.vmap(jax.vmap(env.state_of))(jnp.asarray(ends)[None]))
+    for way in (pushes, 1 - pushes):
+        _, (_, terminated, _) = steps.given(env, jax.random.key(0), start, way)
+        assert not terminated[:, :-1].any()
 
 
 def test_what_is_over_is_reset():
-    obs, reward, terminated, _ = steps.at_random(CartPole(), 64, jax.random.key(0))
-    after = np.asarray(obs)[1:][np.asarray(terminated)[:-1]]
-    assert len(after) > 5 and abs(after[:, 2]).max() < 0.1 and reward.all()
+    (obs, state), (reward, terminated, _) = steps.at_random(CartPole(), 512, jax.random.key(0))
+    last = np.array([np.flatnonzero(lane)[-1] if lane.any() else -1 for lane in terminated.T])
+    assert 100 < (last >= 0).sum() and reward.all()
+    assert (state.time == steps.STEPS - 1 - last).all()
+    assert abs(obs[last == steps.STEPS - 1]).max() <= 0.05
 
 
 def test_the_numpy_maze_plays_by_the_rules():

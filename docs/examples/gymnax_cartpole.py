@@ -16,19 +16,19 @@ split = jax.random.split
 
 def step(carry, _):
     """One step of all, which gymnax resets where they are over."""
-    key, state = carry
+    key, _, state = carry
     key, key_action, key_step = split(key, 3)
     action = jax.random.randint(key_action, (count,), 0, 2)
     played = jax.vmap(env.step, (0, 0, 0, None))(split(key_step, count), state, action, params)
-    return (key, played[1]), (played[0], played[2:-1])
+    return (key, *played[:2]), played[2:-1]
 
 
 @jax.jit
 def play(key):
-    """What is seen and earned, ``[T, N, ...]``."""
+    """What is seen in the end ``[N, 4]``, and earned on the way ``[T, N]``."""
     key, key_reset = split(key)
-    _, state = jax.vmap(env.reset, (0, None))(split(key_reset, count), params)
-    return jax.lax.scan(step, (key, state), length=steps)[1]
+    started = jax.vmap(env.reset, (0, None))(split(key_reset, count), params)
+    return jax.lax.scan(step, (key, *started), length=steps)
 
 
 for _ in sys.stdin:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.envs import CartPole, Maze
@@ -23,6 +24,10 @@ STEPS = 16
 """Of a turn. Pushed so for so long, no pole falls."""
 EPISODE = 200
 """Of one Maze in NumPy, of which a reset takes as long as ten."""
+EPISODES = 16
+"""Of each environment in one call of ours, so that a call is long."""
+SHORTEST = 8
+"""Steps, of all CartPole's episodes."""
 PUSHES = np.resize([0, 1, 1, 0], STEPS)
 
 
@@ -34,6 +39,12 @@ def measure(options: Any) -> Iterable[Results]:
     pushes = np.tile(PUSHES[:, None], (1, count))
     moves = rng.integers(maze.num_actions, size=(STEPS, count))
     envs: Any = gymnasium.make_vec("CartPole-v1", count, "vector_entry_point")
+
+    def ours(env: Environment, actions: np.ndarray) -> Work:
+        reset = jax.vmap(jax.vmap(env.reset, (0, None)), (0, None))
+        key_step, key_reset = jax.random.split(jax.random.key(options.seed))
+        starts = reset(jax.random.split(key_reset, (EPISODES, count)), env.default_params)
+        return jitted(partial(given, env), key_step, starts, actions, units=EPISODES * units)
 
     def gymnasiums(actions: Iterable[np.ndarray]) -> None:
         envs.reset(seed=options.seed)
@@ -48,7 +59,7 @@ def measure(options: Any) -> Iterable[Results]:
             plain.step(action)
 
     yield from compared("CartPole, actions given", "steps/s", {
-        OURS: jitted(partial(given, cartpole), key, pushes, units=units),
+        OURS: ours(cartpole, pushes),
         "Gymnasium": in_units(lambda: gymnasiums(pushes), units),
     }, rounds)  # fmt: skip
     with ExitStack() as stack:
@@ -59,43 +70,44 @@ def measure(options: Any) -> Iterable[Results]:
             **other,
         }, rounds)  # fmt: skip
     yield from compared("Maze, frames", "steps/s", {
-        OURS: jitted(partial(given, maze), key, moves, units=units),
+        OURS: ours(maze, moves),
         "NumPy, one core": numpys and in_units(one_maze, EPISODE),
     }, rounds)  # fmt: skip
 
 
-def given(env: Environment, key: Key, actions: jax.Array) -> Any:
-    """What is seen and earned after a reset by actions ``[T, N]``; the steps are deterministic."""
-    params, (key_step, key_reset) = env.default_params, jax.random.split(key)
-    starts = jax.random.split(key_reset, actions.shape[1])
-    _, state = jax.vmap(env.reset, (0, None))(starts, params)
+def given(env: Environment, key: Key, starts: Any, actions: jax.Array) -> Any:
+    """What is seen in the end, and earned on the way, by actions ``[T, N]`` from observations and
+    states ``[E, N]`` of so many episodes, one after the other. What is seen is carried, so that it
+    is made in every step, but not kept.
+    """
 
-    def step(state: Any, action: jax.Array) -> Any:
-        played = jax.vmap(env.step, (None, 0, 0, None))(key_step, state, action, params)
+    def step(carry: Any, action: jax.Array) -> Any:
+        played = jax.vmap(env.step, (None, 0, 0, None))(key, carry[1], action, env.default_params)
         obs, state, *earned, _ = played
-        return state, (obs, earned)
+        return (obs, state), earned
 
-    return jax.lax.scan(step, state, actions)[1]
+    return jax.lax.map(lambda start: jax.lax.scan(step, start, actions), starts)
 
 
 def at_random(env: Environment, count: int, key: Key) -> Any:
-    """The same by actions at random, those that are over reset; numbers are drawn for all steps at
-    once.
+    """The same by actions at random, those that are over reset. Numbers are drawn for all steps at
+    once, a start for as many steps as no episode is shorter than.
     """
     params, (key_step, key_actions, key_resets) = env.default_params, jax.random.split(key, 3)
     actions = jax.random.randint(key_actions, (STEPS, count), 0, env.num_actions)
-    keys = jax.random.split(key_resets, (STEPS + 1, count))
-    _, states = jax.vmap(jax.vmap(env.reset, (0, None)), (0, None))(keys, params)
-    first, fresh = (jax.tree.map(itemgetter(rows), states) for rows in (0, slice(1, None)))
+    keys = jax.random.split(key_resets, (1 + STEPS // SHORTEST, count))
+    resets = jax.vmap(jax.vmap(env.reset, (0, None)), (0, None))(keys, params)
+    first = jax.tree.map(itemgetter(0), resets)
+    fresh = jax.tree.map(lambda leaf: jnp.repeat(leaf[1:], SHORTEST, axis=0), resets)
 
-    def step(state: Any, drawn: Any) -> Any:
+    def step(carry: Any, drawn: Any) -> Any:
         action, new = drawn
-        played = jax.vmap(env.step, (None, 0, 0, None))(key_step, state, action, params)
+        played = jax.vmap(env.step, (None, 0, 0, None))(key_step, carry[1], action, params)
         obs, state, reward, terminated, truncated, _ = played
         over = terminated | truncated
-        return jax.vmap(where)(over, new, state), (obs, reward, terminated, truncated)
+        return jax.vmap(where)(over, new, (obs, state)), (reward, terminated, truncated)
 
-    return jax.lax.scan(step, first, (actions, fresh))[1]
+    return jax.lax.scan(step, first, (actions, fresh))
 
 
 def gymnax(python: Path, count: int, stack: ExitStack) -> Work:
