@@ -8,5 +8,4 @@ from jaxdyna.experiments.engine.work import Arm, Curves, Engine, Runs, Work, run
 
 __all__ = [
     "Arm", "Curves", "Engine", "Experiment", "InputError", "Options", "Overrides", "Record",
-    "Results", "Runs", "Study", "Trained", "Work", "main", "runs_of",
-]  # fmt: skip
+    "Results", "Runs", "Study", "Trained", "Work", "main", "runs_of"]  # fmt: skip

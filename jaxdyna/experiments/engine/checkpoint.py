@@ -26,27 +26,19 @@ ABOUT = "about"
 
 @dataclass
 class Kept:
-    """A run between two pieces.
+    """A run between two pieces."""
 
-    Attributes:
-        done: units played.
-        state: its leaves by name; none before its first unit, and once it is over.
-        metrics: ``[done, ...]``; once it is over, what it came to.
-        over: whether it is.
-    """
-
-    done: int = 0
+    done: int = 0  #: units played
+    #: its leaves by name; none before its first unit, and once it is over
     state: Curves = field(default_factory=dict)
+    #: ``[done, ...]``; once it is over, what it came to
     metrics: Curves = field(default_factory=dict)
-    over: bool = False
+    over: bool = False  #: whether it is
 
 
 def stacked(states: Sequence[Curves], like: Any, place: Any) -> Any:
-    """Runs' states, as they are kept, as one state on a device.
-
-    Raises:
-        InputError: where it is not of the structure of ``like``, naming the first leaf that
-            differs.
+    """Runs' states, as they are kept, as one state on a device. `InputError` where it is not of the
+    structure of ``like``, naming the first leaf that differs.
     """
     kept = stack(states)
     if said := unlike(kept, named(like)):
@@ -82,10 +74,8 @@ class Store:
         return affords and now - saved > CHECKPOINT_SECONDS
 
     def save(self, number: int, run: Kept, seconds: float) -> None:
-        """Writes a run's, unless it is there; ``seconds`` were played by all.
-
-        Raises:
-            InputError: where it cannot be written; those before it stay.
+        """Writes a run's, unless it is there; ``seconds`` were played by all. `InputError` where it
+        cannot be written; those before it stay.
         """
         if self.newest.get(number) == (run.done, run.over):
             return
@@ -122,11 +112,7 @@ class Store:
         return max(found)
 
     def gathered(self, count: int) -> list[Curves]:
-        """What so many runs came to, whoever played them.
-
-        Raises:
-            InputError: where that of some is not there.
-        """
+        """What so many runs came to, whoever played them; `InputError` where one's is missing."""
         kept = map(Store(self.folder, self.warn).load, range(count))
         curves = [run.metrics for run in kept if run and run.over]
         if len(curves) < count:

@@ -22,8 +22,7 @@ O = TypeVar("O")  # noqa: E741
 NOT_SWEPT = (
     "seeds", "seed", "arms", "out", "episodes", "stop_after_solved", "block", "preset", "quick",
     "part", "resume", "fresh", "shard", "sweep", "from", "cache", "distributed",
-    "keep_runs",
-)  # fmt: skip
+    "keep_runs")  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,8 +48,7 @@ class Call:
     )
     keep_runs: int = setting(
         10, "runs of each arm, the first ones, whose policy and model are kept for jaxdyna.load; "
-        "0: none", at_least=0,
-    )  # fmt: skip
+        "0: none", at_least=0)  # fmt: skip
     shard: str | None = setting(
         None, "I/N: the I-th of N equal parts of the runs; `merge` puts them together"
     )
@@ -62,11 +60,7 @@ class Call:
 
     @property
     def shards(self) -> tuple[int, int]:
-        """``(I, N)``.
-
-        Raises:
-            ValueError: where it is not of that form.
-        """
+        """``(I, N)``; `ValueError` where it is not of that form."""
         number, _, of = (self.shard or "1/1").partition("/")
         if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
             raise ValueError(f"--shard is {self.shard}: give I/N with I from 1 to N")
@@ -124,11 +118,7 @@ def parse(default: O, argv: Sequence[str], prog: str) -> O:
 
 
 def swept(options: Any, said: Sequence[str]) -> dict[str, list[Any]]:
-    """The grid of ``--sweep FIELD=V,V,...``, by what was typed after each: values by dotted path.
-
-    Raises:
-        ValueError: with what to change.
-    """
+    """Values by dotted path, from ``FIELD=V,V,...`` of each ``--sweep``; `ValueError` on others."""
     grid: dict[str, list[Any]] = {}
     known = {leaf.path: leaf for leaf in fields.leaves(options)}
     for one in said:
@@ -172,8 +162,7 @@ def help_text(
     width = min(shutil.get_terminal_size((100, 24)).columns, 100)
     lines = [
         f"usage: {prog} [--part {{{','.join(parts)}}}] [--preset {{{','.join(presets)}}}] "
-        "[--FLAG VALUE ...]", "",
-    ]  # fmt: skip
+        "[--FLAG VALUE ...]", ""]  # fmt: skip
     lines += textwrap.wrap(" ".join((type(default).__doc__ or "").split("\n\n")[0].split()), width)
     for title, leaves in (("call", list(fields.leaves(Call()))), ("settings", _shown(default))):
         lines += ["", f"{title}:"]
@@ -221,9 +210,7 @@ def command(
 ) -> int:  # fmt: skip
     """The ``main`` of a command that is no experiment: calls ``run`` with what the arguments, by
     default the process's, say of the fields of a dataclass, and with these; returns the exit code.
-
-    Raises:
-        SystemExit: with code 2 and one line on bad input.
+    `SystemExit` with code 2 and one line on bad input.
     """
     spell_out()
     argv = sys.argv[1:] if argv is None else argv

@@ -30,10 +30,10 @@ import jax
 FLAG = "--distributed"
 WHERE = re.compile(r"([^,]+:\d+),([1-9]\d*)/(\d+)")
 HEARTBEAT_SECONDS = 20
+#: how long a process waits for others, which may have more to play
 PATIENCE_MS = 20 * 24 * 3600 * 1000
-"""How long a process waits for others, which may have more to play."""
+#: how JAX's runtime names those that it misses, but for the first, which it is part of
 LOST = re.compile(r"^(\d+)$|Task (\d+) heartbeat", re.MULTILINE)
-"""How JAX's runtime names those that it misses, but for the first, which it is part of."""
 
 
 def taken(argv: Sequence[str]) -> tuple[list[str], str | None]:
@@ -80,14 +80,11 @@ class Processes:
 
     def found(self, said: str, stack: ExitStack) -> None:
         """Finds out who this one is; what others than the first say of a bad command line is
-        dropped until they meet.
+        dropped until they meet. `ValueError` where nothing says which processes there are.
 
         Args:
             said: by ``--distributed``, as `taken` gives it.
             stack: whose end ends the child.
-
-        Raises:
-            ValueError: where nothing says which processes there are.
         """
         match = WHERE.fullmatch(said)
         if said and (match is None or int(match[2]) > int(match[3])):
@@ -99,8 +96,7 @@ class Processes:
         self.child = subprocess.Popen(
             [sys.executable, "-P", __file__, json.dumps(given)], text=True, start_new_session=True,
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.log,
-            env=kept | {"JAX_ENABLE_PREEMPTION_SERVICE": "0"},
-        )  # fmt: skip
+            env=kept | {"JAX_ENABLE_PREEMPTION_SERVICE": "0"})  # fmt: skip
         stack.callback(self.child.kill)
         stack.callback(self.ending.set)
         self.of, number, visible = json.loads(self.child.stdout.readline() or "[0, 0, 0]")
@@ -118,10 +114,7 @@ class Processes:
     @contextmanager
     def after_first(self) -> Iterator[None]:
         """Meets the others, and lets the first go ahead. Where it fails, of which it tells, they
-        end with code 2.
-
-        Raises:
-            ValueError: where they do not meet.
+        end with code 2. `ValueError` where they do not meet.
         """
         try:
             self._ask("join")
@@ -148,10 +141,8 @@ class Processes:
             self._ask("yes")
 
     def leave(self) -> None:
-        """Waits until all have come here.
-
-        Raises:
-            KeyboardInterrupt: where one is lost, or this one interrupted.
+        """Waits until all have come here; `KeyboardInterrupt` where one is lost, or this one
+        interrupted.
         """
         self._ask("leave")
         self.ending.set()
@@ -201,8 +192,7 @@ def _runtime(given: tuple[str, int, int, Sequence[int]] | None) -> None:
                 jax.distributed.initialize(
                     address, of, number, cluster_detection_method="deactivate",
                     heartbeat_timeout_seconds=HEARTBEAT_SECONDS,
-                    coordinator_bind_address=address if local else None,
-                )  # fmt: skip
+                    coordinator_bind_address=address if local else None)  # fmt: skip
             elif word == "ready":
                 reply = client.blocking_key_value_get("ready", PATIENCE_MS)
             elif word == "leave":

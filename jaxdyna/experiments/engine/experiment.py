@@ -23,12 +23,9 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Options(fields.Checked):
-    """The settings that every experiment has; a world's own come with a subclass.
+    """The settings that every experiment has; a world's own come with a subclass."""
 
-    Attributes:
-        decided: by dotted path, which flag decides a setting instead: it is no flag of its own.
-    """
-
+    #: by dotted path, which flag decides a setting instead: it is no flag of its own
     decided: ClassVar[Mapping[str, str]] = {}
 
     preset: str = setting("tuned", "whose settings are the defaults")
@@ -39,12 +36,10 @@ class Options(fields.Checked):
     episodes: int = setting(1000, "real episodes of a run at the most", at_least=1, everyday=True)
     stop_after_solved: int | None = setting(
         None, "real episodes that a run plays on, at least, once it has solved; None plays all",
-        at_least=0, everyday=True,
-    )  # fmt: skip
+        at_least=0, everyday=True)  # fmt: skip
     block: int = setting(
         1, "runs computed together; a run's bits depend on this number and on nothing beside it",
-        at_least=1, everyday=True,
-    )  # fmt: skip
+        at_least=1, everyday=True)  # fmt: skip
 
     def resolved(self) -> Self:
         """With what other settings decide filled in. A subclass says how."""
@@ -57,79 +52,55 @@ class Options(fields.Checked):
 
 
 class Record(NamedTuple):
-    """All that a report may read.
+    """All that a report may read."""
 
-    Attributes:
-        options: the experiment's, resolved.
-        results: what is in ``results.json``.
-        curves: arrays ``[runs, ...]`` by the names of the entries of ``results["arms"]``.
-        out: the folder for figures.
-    """
-
-    options: Any
-    results: Results
+    options: Any  #: the experiment's, resolved
+    results: Results  #: what is in ``results.json``
+    #: arrays ``[runs, ...]`` by the names of the entries of ``results["arms"]``
     curves: Mapping[str, Curves]
-    out: Path
+    out: Path  #: the folder for figures
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment.
+    """One experiment."""
 
-    Attributes:
-        name: of its part of the command line, and in ``results.json``.
-        title: of its report.
-        presets: options by name, the default one first.
-        arms: from options to what makes each arm, by its name, or ``NAME@SETTING`` where there are
-            several of one; only those asked for are made.
-        quick: by preset, what ``--quick`` changes.
-        rule: when a run counts as solved; None where nothing is solved, or it gives None.
-        describe: ``(options, curves) -> entries`` of an arm in ``results.json``.
-        measures: by name ``(options, say) -> JSON``: host work without runs.
-        sections: ``(record) -> Markdown``: the report's, in their order; each draws its figures.
-            What comes before the first figure is printed as well.
-        study: what its rows are made of, where it is a table of overrides.
-    """
-
-    name: str
-    title: str
-    presets: Mapping[str, Any]
+    name: str  #: of its part of the command line, and in ``results.json``
+    title: str  #: of its report
+    presets: Mapping[str, Any]  #: options by name, the default one first
+    #: from options to what makes each arm, by its name, or ``NAME@SETTING`` where there are several
+    #: of one; only those asked for are made
     arms: Callable[[Any], Mapping[str, Callable[[], Arm]]]
+    #: by preset, what ``--quick`` changes
     quick: Mapping[str, Overrides] = field(default_factory=dict)
+    #: when a run counts as solved; None where nothing is solved, or it gives None
     rule: Callable[[Any], SolveRule | None] | None = None
+    #: ``(options, curves) -> entries`` of an arm in ``results.json``
     describe: Sequence[Callable[[Any, Curves], Results]] = ()
+    #: by name ``(options, say) -> JSON``: host work without runs
     measures: Mapping[str, Callable[[Any, Say], Any]] = field(default_factory=dict)
+    #: ``(record) -> Markdown``: the report's, in their order; each draws its figures. What comes
+    #: before the first figure is printed as well.
     sections: Sequence[Callable[[Record], str]] = ()
-    study: Study | None = None
+    study: Study | None = None  #: what its rows are made of, where it is a table of overrides
 
 
 class Study(NamedTuple):
-    """A table of overrides: one arm of an experiment, changed in each row.
+    """A table of overrides: one arm of an experiment, changed in each row."""
 
-    Attributes:
-        name: of its part of the command line.
-        title: of its report.
-        of: the experiment.
-        preset: whose settings are changed.
-        rows: by name, what is changed, by dotted path; ``"arm"`` names another arm than ``arm``.
-            The first is what the others are compared with.
-        sections: as an experiment's.
-        common: what is changed in all rows, and can be set otherwise on the command line.
-        arm: that is played.
-        describe: beside the experiment's.
-        quick: what ``--quick`` changes.
-    """
-
-    name: str
-    title: str
-    of: Experiment
-    preset: str
+    name: str  #: of its part of the command line
+    title: str  #: of its report
+    of: Experiment  #: the experiment
+    preset: str  #: whose settings are changed
+    #: by name, what is changed, by dotted path; ``"arm"`` names another arm than ``arm``. The first
+    #: is what the others are compared with.
     rows: Callable[[Any], Mapping[str, Overrides]]
-    sections: Sequence[Callable[[Record], str]] = ()
+    sections: Sequence[Callable[[Record], str]] = ()  #: as an experiment's
+    #: what is changed in all rows, and can be set otherwise on the command line
     common: Overrides = {}
-    arm: str = "dyna"
-    describe: Sequence[Callable[[Any, Curves], Results]] = ()
-    quick: Overrides = {}
+    arm: str = "dyna"  #: that is played
+    describe: Sequence[Callable[[Any, Curves], Results]] = ()  #: beside the experiment's
+    quick: Overrides = {}  #: what ``--quick`` changes
 
     def experiment(self) -> Experiment:
         """The experiment whose arms are the rows."""
@@ -145,8 +116,7 @@ class Study(NamedTuple):
         return replace(
             self.of, name=self.name, title=self.title, presets={self.preset: base}, arms=arms,
             quick={self.preset: self.quick}, describe=(*self.of.describe, *self.describe),
-            measures={}, sections=self.sections, study=self,
-        )  # fmt: skip
+            measures={}, sections=self.sections, study=self)  # fmt: skip
 
     def made(self, options: Any, row: Overrides) -> Arm:
         """The arm of a row."""
@@ -160,34 +130,22 @@ class Study(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """What is an entry of ``results["arms"]``: an arm in a setting.
+    """What is an entry of ``results["arms"]``: an arm in a setting."""
 
-    Attributes:
-        name: of the entry.
-        arm: its name alone.
-        setting: the rest of it, None where there is none.
-        names: by any of which it is asked for.
-        options: the experiment's in that setting, resolved.
-        make: makes it.
-    """
-
-    name: str
-    arm: str
-    setting: str | None
-    names: tuple[str, ...]
-    options: Any
-    make: Callable[[], Arm]
+    name: str  #: of the entry
+    arm: str  #: its name alone
+    setting: str | None  #: the rest of it, None where there is none
+    names: tuple[str, ...]  #: by any of which it is asked for
+    options: Any  #: the experiment's in that setting, resolved
+    make: Callable[[], Arm]  #: makes it
 
 
 def entries(
     experiment: Experiment, options: Any, sweep: Mapping[str, Sequence[Any]]
 ) -> list[Entry]:
     """Every entry that there can be, from settings not resolved yet, swept over a grid of values by
-    dotted path; not the rows of a study that decide a swept setting themselves.
-
-    Raises:
-        ValueError: where what is swept would change when a run counts as solved, or is not what a
-            run would be played with.
+    dotted path; not the rows of a study that decide a swept setting themselves. `ValueError` where
+    what is swept would change when a run counts as solved, or is not what runs are played with.
     """
     made: list[Entry] = []
     grid = [dict(zip(sweep, values, strict=True)) for values in product(*sweep.values())]
@@ -220,10 +178,8 @@ def entries(
 
 
 def chosen(every: Sequence[Entry], asked: Sequence[str]) -> list[Entry]:
-    """The entries that are asked for, by name; all where none is named.
-
-    Raises:
-        ValueError: where there is no such arm, or one is named twice.
+    """The entries that are asked for, by name; all where none is named. `ValueError` where there is
+    no such arm, or one is named twice.
     """
     if not asked:
         return list(every)

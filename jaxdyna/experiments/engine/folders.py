@@ -27,9 +27,7 @@ MOVING = ".moving"
 def held(folder: Path, alone: bool = True) -> Iterator[Any]:
     """The folder, made where there is none, for this process alone, or with others of its run, once
     the first of them may `share` the lock; the system lets go of it however the process ends.
-
-    Raises:
-        ValueError: where it cannot be written to, or another run works in it.
+    `ValueError` where it cannot be written to, or another run works in it.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -78,16 +76,13 @@ def _locked(folder: Path, how: int) -> Any:
 
 def claim(folder: Path, whose: Mapping[str, str], fresh: bool) -> None:
     """Makes the folder ready for a run that begins: an earlier result goes into a folder of
-    ``previous``, or where version control has all of it, goes.
+    ``previous``, or where version control has all of it, goes. `ValueError` where there is what no
+    such run has written, or unfinished work; nothing has been touched then.
 
     Args:
         folder: held by this process.
         whose: ``experiment`` and ``part`` of the run.
         fresh: whether unfinished work may be dropped.
-
-    Raises:
-        ValueError: where there is what no such run has written, or unfinished work; nothing has
-            been touched then.
     """
     begun = storage.read_json(folder / CHECKPOINTS / "settings.json")
     results = storage.read_json(folder / "results.json")

@@ -23,15 +23,12 @@ from jaxdyna.fields import check_counts
 
 def load(folder: str | Path, *parts: Experiment | Study) -> Loaded:
     """Opens the folder of a run, wherever it lies. Nothing in it is run as code, but the module of
-    its experiment, and of a world of one's own, is imported by the name that it says.
+    its experiment, and of a world of one's own, is imported by the name that it says. `ValueError`
+    where there is no result, or it is damaged or a later version's, or its experiment is not found.
 
     Args:
         folder: that ``--out`` named.
         parts: the experiment that was played, where it is in no module that can be imported.
-
-    Raises:
-        ValueError: where there is no result, it is damaged, or of a later version, or its
-            experiment cannot be found.
     """
     folder = Path(folder)
     results = storage.read_json(folder / "results.json")
@@ -46,21 +43,15 @@ def load(folder: str | Path, *parts: Experiment | Study) -> Loaded:
 
 @dataclass(frozen=True)
 class Loaded:
-    """What a run left.
+    """What a run left."""
 
-    Attributes:
-        folder: where it lies.
-        results: its ``results.json``; ``results["config"]`` are the settings as JSON.
-        options: the settings, resolved.
-        curves: by arm and name, arrays ``[runs, ...]``, NaN after a run's own end.
-        entries: every arm that there can be, by name.
-    """
-
-    folder: Path
+    folder: Path  #: where it lies
+    #: its ``results.json``; ``results["config"]`` are the settings as JSON
     results: storage.Results
-    options: Any
+    options: Any  #: the settings, resolved
+    #: by arm and name, arrays ``[runs, ...]``, NaN after a run's own end
     curves: Mapping[str, Curves]
-    entries: Mapping[str, Entry]
+    entries: Mapping[str, Entry]  #: every arm that there can be, by name
 
     @cached_property
     def kept(self) -> dict[str, list[int]]:
@@ -70,11 +61,8 @@ class Loaded:
         return {arm: seeds[which].tolist() for arm, which in found.items() if which.any()}
 
     def trained(self, arm: str, seed: int | None = None) -> Trained:
-        """What a run has learned, by default the first that is kept of its arm.
-
-        Raises:
-            ValueError: where it is not kept, or what is kept is damaged, another run's or another
-                version's.
+        """What a run has learned, by default the first that is kept of its arm. `ValueError` where
+        it is not kept, or what is kept is damaged, another run's or another version's.
         """
         keeper, kept, _, hparams = self._run(arm, seed)
         act = jax.jit(lambda kept, obs, key: keeper.opened(kept, hparams).policy(obs, key))
@@ -83,9 +71,7 @@ class Loaded:
     def returns(self, arm: str, seed: int | None = None, episodes: int = EPISODES) -> np.ndarray:
         """Of its policy in new episodes of the true environment, ``[episodes]``. Of as many as in
         the report the mean is the report's, to the last digit on the same kind of machine.
-
-        Raises:
-            ValueError: as `trained`.
+        `ValueError` as `trained`.
         """
         check_counts(episodes=episodes)
         keeper, kept, key, hparams = self._run(arm, seed)
@@ -95,10 +81,7 @@ class Loaded:
         self, env_id: str, arm: str | None = None, seed: int | None = None, **spec: Any
     ) -> None:  # fmt: skip
         """Registers a run's dream with Gymnasium, see `jaxdyna.envs.register`; by default that of
-        the first arm that has one.
-
-        Raises:
-            ValueError: as `trained`, and where there is no dream.
+        the first arm that has one. `ValueError` as `trained`, and where there is no dream.
         """
         runs = (self.trained(name, seed) for name in ([arm] if arm else self.kept))
         found = next((run for run in runs if run.dream is not None), None)

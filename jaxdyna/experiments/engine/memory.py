@@ -8,11 +8,11 @@ import jax
 
 from jaxdyna.experiments.engine.storage import InputError
 
+#: a container's limit and use, below ``/sys/fs/cgroup``: of control groups 2 and 1
 GROUPS = (
     ("memory.max", "memory.current"),
     ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"),
 )
-"""A container's limit and use, below ``/sys/fs/cgroup``: of control groups 2 and 1."""
 
 
 def held(*trees: Any) -> int:
@@ -30,16 +30,13 @@ def used_by(program: Any) -> int:
 
 
 def afford(need: int, block: int, at_once: int, place: jax.Device) -> None:
-    """Refuses what does not fit.
+    """Refuses what does not fit: `InputError` where there is less than all of the blocks take.
 
     Args:
         need: bytes of a block, at the least.
         block: runs in it.
         at_once: blocks that are played at a time on the device.
         place: the device.
-
-    Raises:
-        InputError: where there is less than all of them take.
     """
     free = available(place)
     if free is not None and need * at_once > free:

@@ -25,8 +25,8 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 from jaxdyna.experiments.engine.storage import threads
 
+#: the environment variable that names another folder than the user's cache folder
 FOLDER = "JAXDYNA_CACHE"
-"""The environment variable that names another folder than the user's cache folder."""
 MOST_BYTES = 2**29
 DIRECTORY = "jax_compilation_cache_dir"
 HOW = {

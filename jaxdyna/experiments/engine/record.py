@@ -20,20 +20,15 @@ from jaxdyna.experiments.report.summaries import compare, describe_arm, diverged
 from jaxdyna.experiments.report.tables import label, paragraphs
 from jaxdyna.statistics import mean_of_runs
 
+#: of ``results.json`` and what lies beside it: what is read here and was not there before raises
+#: it. Settings that are added do not: they take their defaults where they are not named.
 FORMAT = 1
-"""Of ``results.json`` and what lies beside it: what is read here and was not there before raises
-it. Settings that are added do not: they take their defaults where they are not named.
-"""
 
 
 def command_of(module: str, *flags: str) -> tuple[Sequence[Experiment | Study], list[str], str]:
     """What a command of so many flags plays, flags that are left, and the command without these:
     the module's ``PARTS``, or what its function ``command_parts`` makes of the flags, or else its
-    own experiments.
-
-    Raises:
-        ImportError: where there is no such module.
-        ValueError: where flags are wrong.
+    own experiments. `ImportError` where there is no such module, `ValueError` on wrong flags.
     """
     found = importlib.import_module(module)
     if hasattr(found, "command_parts"):
@@ -87,11 +82,7 @@ def home_of(part: Experiment | Study | None) -> Results:
 
 
 def parts_of(results: Results) -> Sequence[Experiment | Study]:
-    """The experiments of the module that a ``results.json`` is from.
-
-    Raises:
-        ValueError: where it cannot be imported.
-    """
+    """The experiments of a ``results.json``'s module; `ValueError` where it cannot be imported."""
     words = [word for word in shlex.split(results["command"]) if word != "-m"]
     name = results.get("module") or words[1]
     try:
@@ -107,10 +98,8 @@ def recorded(
     results: Results, parts: Sequence[Experiment | Study] = ()
 ) -> tuple[Experiment, Any, list[Entry]]:
     """What a record's ``results.json`` says that was played: the experiment, one of ``parts`` or by
-    default of `parts_of`, its settings, and every entry that there can be.
-
-    Raises:
-        ValueError: where there is no such experiment, or it does not read the settings.
+    default of `parts_of`, its settings, and every entry that there can be. `ValueError` where there
+    is no such experiment, or it does not read the settings.
     """
     try:
         part = {part.name: part for part in parts or parts_of(results)}[results["part"]]

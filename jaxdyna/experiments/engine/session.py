@@ -41,26 +41,21 @@ from jaxdyna.fields import SettingError
 from jaxdyna.statistics import episodes_to_solve
 
 NOT_SETTINGS = ("arms",)
-COMPILED = 4
-"""Programs that are compiled at a time, at the most."""
+COMPILED = 4  #: programs that are compiled at a time, at the most
 FROM = ("part", "preset")
 
 
 def main(
     *parts: Experiment | Study, argv: Sequence[str] | None = None, prog: str | None = None
 ) -> int:
-    """Runs an experiment from the command line.
+    """Runs an experiment from the command line and returns the exit code: 0, 130 after Ctrl-C, 1
+    where another process of the run was lost. `SystemExit` with code 2 and one line on bad input,
+    with 0 after ``--help``.
 
     Args:
         parts: what ``--part`` chooses from by name; the first is the default.
         argv: the arguments, by default the process's.
         prog: the command as the user types it.
-
-    Returns:
-        The exit code: 0, 130 after Ctrl-C, 1 where another process of the run was lost.
-
-    Raises:
-        SystemExit: with code 2 and one line on bad input, with 0 after ``--help``.
     """
     cli.spell_out()
     if argv is None:  # a process of its own: tracing need not search what was imported for garbage
@@ -108,8 +103,7 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
         arms = dict.fromkeys(name.partition("@")[0] for name in experiment.arms(default.resolved()))
         print(cli.help_text(
             prog, [part.name for part in parts], [*experiment.presets], [*arms], default,
-            "--help-all" in argv, hidden=() if quick else ("quick",),
-        ))  # fmt: skip
+            "--help-all" in argv, hidden=() if quick else ("quick",)))  # fmt: skip
         raise SystemExit(0)
     if call.quick:
         if not quick:
@@ -130,16 +124,12 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     return Session(
         experiment, options, every, call.out or out, command, call.resume, call.fresh, call.shards,
         sweep, family=parts[0].name, cache=call.cache, keep=call.keep_runs,
-        part=part,
-    )  # fmt: skip
+        part=part)  # fmt: skip
 
 
 def _earlier(call: cli.Call, name: str) -> Results:
-    """What ``--from`` names; nothing without.
-
-    Raises:
-        ValueError: where it is no result of this experiment, or another part or preset is asked
-            for.
+    """What ``--from`` names; nothing without. `ValueError` where it is no result of this
+    experiment, or another part or preset is asked for.
     """
     if call.from_ is None:
         return {}
@@ -163,49 +153,29 @@ def _prog() -> str:
 
 @dataclass
 class Session:
-    """Plays what is not finished, keeps what is on disk, and reports.
+    """Plays what is not finished, keeps what is on disk, and reports."""
 
-    Attributes:
-        experiment: what is played.
-        options: its settings, resolved.
-        every: entry of ``results["arms"]`` that there can be.
-        out: the folder for the results.
-        command: as typed.
-        resume: whether to go on with what is there.
-        fresh: whether to drop unfinished work that is there.
-        shard: ``(I, N)``.
-        sweep: values by dotted path.
-        family: the name of the experiment whose part this is.
-        cache: whether compiled programs are kept for later.
-        processes: that share the work.
-        keep: of how many runs of each arm it is kept what they have learned.
-        part: what ``main`` was given.
-    """
-
-    experiment: Experiment
-    options: Any
-    every: list[Entry]
-    out: Path
-    command: str
-    resume: bool = False
-    fresh: bool = False
-    shard: tuple[int, int] = (1, 1)
-    sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)
-    family: str = ""
-    cache: bool = True
-    processes: Processes = field(default_factory=Processes)
-    keep: int = 0
-    part: Experiment | Study | None = None
+    experiment: Experiment  #: what is played
+    options: Any  #: its settings, resolved
+    every: list[Entry]  #: each of ``results["arms"]`` that there can be
+    out: Path  #: the folder for the results
+    command: str  #: as typed
+    resume: bool = False  #: whether to go on with what is there
+    fresh: bool = False  #: whether to drop unfinished work that is there
+    shard: tuple[int, int] = (1, 1)  #: ``(I, N)``
+    sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)  #: values by dotted path
+    family: str = ""  #: the name of the experiment whose part this is
+    cache: bool = True  #: whether compiled programs are kept for later
+    processes: Processes = field(default_factory=Processes)  #: that share the work
+    keep: int = 0  #: of how many runs of each arm it is kept what they have learned
+    part: Experiment | Study | None = None  #: what ``main`` was given
     console: Console = field(
         default_factory=lambda: Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     )
 
     def begin(self, stack: ExitStack) -> None:
         """Makes the arms, takes the folder, until the stack is closed, for this process alone, and
-        takes up what is there or sets it aside.
-
-        Raises:
-            ValueError: with what to change.
+        takes up what is there or sets it aside; `ValueError` with what to change.
         """
         self.began, self.earlier = time.perf_counter(), None
         self.share = stack.enter_context(programs.kept()) if self.cache else lambda: None
@@ -245,10 +215,8 @@ class Session:
                 folders.share(lock)
 
     def run(self) -> int:
-        """Plays and reports; returns the exit code, as `main`.
-
-        Raises:
-            InputError: where something in mid-run is the user's to mend.
+        """Plays and reports; returns the exit code, as `main`. `InputError` where something in
+        mid-run is the user's to mend.
         """
         code, first = 0, self.processes.first
         engine = work.Engine(keep=self.keep, interrupted=self.processes.interrupted)
@@ -393,10 +361,8 @@ class Session:
         }
 
     def _take_up(self, whose: Mapping[str, str]) -> None:
-        """Reads what an earlier run with the same settings finished.
-
-        Raises:
-            ValueError: where there is no such run.
+        """Reads what an earlier run of these settings finished; `ValueError` where there is
+        none.
         """
         begun = storage.read_json(self.checkpoints / "settings.json")
         results = storage.read_json(self.out / "results.json")
@@ -469,8 +435,7 @@ class Session:
         about = {
             "experiment": self.family, "part": self.experiment.name, "command": self.command,
             **home_of(self.part), **made, "runs": runs,
-            "sweep": fields.plain(dict(self.sweep)), "timing": timing, **self.measured,
-        }  # fmt: skip
+            "sweep": fields.plain(dict(self.sweep)), "timing": timing, **self.measured}  # fmt: skip
         if others:
             about["made_otherwise"] = others
         if missing := [name for name in ordered if name not in self.curves]:

@@ -27,12 +27,12 @@ Curves = Mapping[str, np.ndarray]
 Results = dict[str, Any]
 PACKAGES = ("jax", "jaxlib", "flax", "optax", "numpy", "gymnasium")
 CHECKSUM = "checksum"
+#: what reading a file of arrays can end in
 DAMAGED = (
     KeyError, OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error
 )  # fmt: skip
-"""What reading a file of arrays can end in."""
+#: what arrays of earlier records are called today
 FORMERLY = {"oracle_return": "optimal_return", "greedy_oracle": "greedy_optimal"}
-"""What arrays of earlier records are called today."""
 PACKAGE = Path(jaxdyna.__file__).resolve().parent
 
 
@@ -51,10 +51,7 @@ def unwritten(path: Path, error: OSError) -> InputError:
 @contextmanager
 def written(path: Path, before: Path | None = None) -> Iterator[Path]:
     """A file to write to, which takes the place of ``path`` once it is whole; what was there
-    becomes the file ``before``, or goes.
-
-    Raises:
-        InputError: where it cannot be written; what was there stays.
+    becomes the file ``before``, or goes. `InputError` where it cannot: what was there stays.
     """
     part = path.with_name(f"{path.stem}.part{path.suffix}")
     try:
@@ -76,9 +73,7 @@ def write_json(path: Path, results: Results) -> None:
 
 def read_json(path: Path) -> Any:
     """Reads it; None where there is no file. One without a checksum, of an earlier version, passes.
-
-    Raises:
-        ValueError: where it is not what was written.
+    `ValueError` where it is not what was written.
     """
     if not path.exists():
         return None
@@ -129,10 +124,8 @@ def write_arrays(
 
 def read_arrays(path: Path, only: Sequence[str] = (), whose: str = "") -> dict[str, np.ndarray]:
     """Reads what `write_arrays` wrote, or only some of it. Whole members: at their ends their own
-    checksums are looked at. Files of an earlier version, without one of all, pass.
-
-    Raises:
-        ValueError: where the file is damaged.
+    checksums are looked at. Files of an earlier version, without one of all, pass. `ValueError`
+    where the file is damaged.
     """
     try:
         with zipfile.ZipFile(path) as file:
@@ -172,10 +165,8 @@ def write_curves(path: Path, arms: Mapping[str, Curves], whose: str = "") -> Non
 
 
 def read_curves(path: Path, whose: str = "") -> dict[str, dict[str, np.ndarray]]:
-    """Reads what `write_curves` wrote; nothing where there is no file.
-
-    Raises:
-        ValueError: where the file is damaged, or of another `identity` than ``whose``.
+    """Reads what `write_curves` wrote; nothing where there is no file. `ValueError` where the file
+    is damaged, or of another `identity` than ``whose``.
     """
     arms: dict[str, dict[str, np.ndarray]] = {}
     try:

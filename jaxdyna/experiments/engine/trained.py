@@ -29,32 +29,24 @@ from jaxdyna.trees import named, unlike, unnamed
 from jaxdyna.types import Environment, Key
 
 Arrays = Mapping[str, np.ndarray]
-EPISODES, STARTS = 100, 256
-"""In which a kept policy is judged; of kept dreams."""
+EPISODES, STARTS = 100, 256  #: in which a kept policy is judged; of kept dreams
+#: where files are, and how the names of a run's arrays begin that go there
 FOLDER, KEPT = "kept", "kept/"
-"""Where files are, and how the names of a run's arrays begin that go there."""
+#: what a kept policy earns, and what its run earned in each real episode
 RETURN, REAL = "kept_return", "real_return"
-"""What a kept policy earns, and what its run earned in each real episode."""
 
 
 class Trained(NamedTuple):
-    """What a run has learned, and where.
+    """What a run has learned, and where."""
 
-    Attributes:
-        policy: ``(obs, key) -> action``, as it is evaluated: greedy where the agent can be.
-        env: the true environment.
-        params: its parameters.
-        num_steps: of an episode, at the most.
-        dream: where fake episodes are played, such as a learned environment; None without.
-        dream_params: its parameters, the model's weights among them.
-    """
-
+    #: ``(obs, key) -> action``, as it is evaluated: greedy where the agent can be
     policy: Callable[[jax.Array, Key], jax.Array]
-    env: Environment
-    params: Any
-    num_steps: int
+    env: Environment  #: the true environment
+    params: Any  #: its parameters
+    num_steps: int  #: of an episode, at the most
+    #: where fake episodes are played, such as a learned environment; None without
     dream: Environment | None = None
-    dream_params: Any = None
+    dream_params: Any = None  #: its parameters, the model's weights among them
 
 
 class Last(NamedTuple):
@@ -142,10 +134,7 @@ def told_of(kept: Arrays, returns: jax.Array) -> dict[str, Any]:
 
 def write(folder: Path, arm: str, seed: int, run: Arrays) -> dict[str, np.ndarray]:
     """Writes what is kept of a run into a file of its own below a record's folder, and returns the
-    rest of its curves.
-
-    Raises:
-        InputError: where it cannot be written.
+    rest of its curves. `InputError` where it cannot be written.
     """
     kept = {name.removeprefix(KEPT): run[name] for name in run if name.startswith(KEPT)}
     rest = {name: run[name] for name in run if not name.startswith(KEPT)}
@@ -159,9 +148,7 @@ def write(folder: Path, arm: str, seed: int, run: Arrays) -> dict[str, np.ndarra
 
 def read(folder: Path, arm: str, seed: int, run: Arrays) -> Arrays:
     """What `write` wrote of a run with these curves, which may go on as NaN after its own end.
-
-    Raises:
-        ValueError: where it is not there, damaged, or another run's.
+    `ValueError` where it is not there, damaged, or another run's.
     """
     return read_arrays(file_of(folder, arm, seed), whose=_whose(arm, seed, run))
 

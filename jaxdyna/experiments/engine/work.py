@@ -32,56 +32,46 @@ from jaxdyna.trees import named_leaves, stack
 from jaxdyna.types import Key
 
 Curves = dict[str, np.ndarray]
+#: from what runs have come to, ``[runs, units]``, to whether they are over, bool ``[runs]``
 Over = Callable[[Curves], np.ndarray]
-"""From what runs have come to, ``[runs, units]``, to whether they are over, bool ``[runs]``."""
 
-SHOWN = "show_"
-"""Arrays that are kept of the first run alone begin so; they have no axis of runs."""
+SHOWN = "show_"  #: arrays that are kept of the first run alone begin so; they have no axis of runs
+#: a metric, 0 while the numbers of a run are finite. Where they are not, the run is over, and the
+#: rest of its curves is NaN.
 DIVERGED = "diverged"
-"""A metric, 0 while the numbers of a run are finite. Where they are not, the run is over, and the
-rest of its curves is NaN.
-"""
-JUDGING = 2**32 - 1
-"""Folded into the base seed's key: the runs' own keys are its first splits."""
+JUDGING = 2**32 - 1  #: folded into the base seed's key: the runs' own keys are its first splits
 
+#: of runs that are over; which of them it is, is folded into the key of a run's judging
 HOOKS = ("judge", "show", "keep")
-"""Of runs that are over; which of them it is, is folded into the key of a run's judging."""
-BEGUN = 8
-"""Blocks a worker that are begun at most, so that their runs can be packed together."""
+BEGUN = 8  #: blocks a worker that are begun at most, so that their runs can be packed together
 
 
 class Work(NamedTuple):
-    """What is played, all of it pure functions of one run. The same functions are the same program.
+    """What is played: pure functions of one run. The same functions are the same program."""
 
-    Attributes:
-        init: ``(key, hparams) -> state``: a run before its first unit.
-        step: ``(state, data, unit, hparams) -> (state, metrics)``: the unit numbered ``unit`` (from
-            0), such as a real episode or a gradient step; metrics are float arrays by name. It may
-            use the axis `jaxdyna.sweep.RUNS`, along which runs are computed together.
-        data: ``(key, hparams) -> data``: a run's fixed input, made again on resume instead of
-            saved; None for none. It gets the key that ``init`` gets.
-        collect: ``(runs) -> data`` with the runs' axis in front: the same by the host, such as an
-            emulator's episodes, from whatever `Runs` says of them but their keys.
-        judge: ``(state, data, key, hparams) -> arrays``: of a run that is over.
-        show: likewise of the first run alone: examples, films.
-        piece: units between two looks at the clock: a run is over at a multiple of it at the
-            earliest.
-        block: runs computed together.
-        level: to which XLA optimises its units on a CPU: 2 compiles in two thirds of the time, 3
-            may run faster.
-        trained: ``(state, hparams) -> what a run has learned``, of which the first runs' is kept;
-            None: nothing is.
-    """
-
-    init: Callable[[Key, Any], Any]
+    init: Callable[[Key, Any], Any]  #: ``(key, hparams) -> state``: a run before its first unit
+    #: ``(state, data, unit, hparams) -> (state, metrics)``: the unit numbered ``unit`` (from 0),
+    #: such as a real episode or a gradient step; metrics are float arrays by name. It may use the
+    #: axis `jaxdyna.sweep.RUNS`, along which runs are computed together.
     step: Callable[[Any, Any, jax.Array, Any], tuple[Any, dict[str, jax.Array]]]
+    #: ``(key, hparams) -> data``: a run's fixed input, made again on resume instead of saved; None
+    #: for none. It gets the key that ``init`` gets.
     data: Callable[[Key, Any], Any] | None = None
+    #: ``(runs) -> data`` with the runs' axis in front: the same by the host, such as an emulator's
+    #: episodes, from whatever `Runs` says of them but their keys
     collect: Callable[[Runs], Any] | None = None
+    #: ``(state, data, key, hparams) -> arrays``: of a run that is over
     judge: Callable[[Any, Any, Key, Any], dict[str, jax.Array]] | None = None
+    #: likewise of the first run alone: examples, films
     show: Callable[[Any, Any, Key, Any], dict[str, jax.Array]] | None = None
+    #: units between two looks at the clock: a run is over at a multiple of it at the earliest
     piece: int = 50
-    block: int = 1
+    block: int = 1  #: runs computed together
+    #: to which XLA optimises its units on a CPU: 2 compiles in two thirds of the time, 3 may run
+    #: faster
     level: int = 3
+    #: ``(state, hparams) -> what a run has learned``, of which the first runs' is kept; None:
+    #: nothing is
     trained: Callable[[Any, Any], Trained] | None = None
 
 
@@ -94,20 +84,13 @@ class Arm(NamedTuple):
 
 
 class Runs(NamedTuple):
-    """The one axis.
+    """The one axis."""
 
-    Attributes:
-        seed: global numbers ``[runs]``: run ``n`` of the base seed has the same keys in any
-            company.
-        base: the base seed.
-        hparams: leaves ``[runs, ...]``.
-        units: the most that each plays, ``[runs]``.
-    """
-
+    #: global numbers ``[runs]``: run ``n`` of the base seed has the same keys in any company
     seed: np.ndarray
-    base: int
-    hparams: Any
-    units: np.ndarray
+    base: int  #: the base seed
+    hparams: Any  #: leaves ``[runs, ...]``
+    units: np.ndarray  #: the most that each plays, ``[runs]``
 
     @property
     def keys(self) -> Key:
@@ -160,42 +143,32 @@ class Seconds(NamedTuple):
 
 
 class Played(NamedTuple):
-    """What runs came to.
+    """What runs came to."""
 
-    Attributes:
-        curves: a dictionary a run: metrics ``[units]``, what was judged, and of those with
-            seed 0 what is shown.
-        seconds: taken.
-    """
-
+    #: a dictionary a run: metrics ``[units]``, what was judged, and of those with seed 0 what is
+    #: shown
     curves: list[Curves]
-    seconds: Seconds
+    seconds: Seconds  #: taken
 
 
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C; what was played is saved."""
 
 
-Progress = Callable[[str, int, int], None]
-"""``(stage, units done, runs over)``."""
+Progress = Callable[[str, int, int], None]  #: ``(stage, units done, runs over)``
 
 
 @dataclass
 class Engine:
-    """Plays works and keeps their programs.
+    """Plays works and keeps their programs."""
 
-    Attributes:
-        workers: blocks that are played at a time; by default one a core, or one a device.
-        keep: of how many runs of each arm, the first ones, it is kept what they have learned.
-        programs: that were compiled.
-        prepared: the seconds that it took ahead of time.
-        interrupted: set by Ctrl-C: every block is saved after its piece, then `Interrupted` raised.
-    """
-
-    workers: int = 0
+    workers: int = 0  #: blocks that are played at a time; by default one a core, or one a device
+    #: of how many runs of each arm, the first ones, it is kept what they have learned
     keep: int = 0
+    #: set by Ctrl-C: every block is saved after its piece, then `Interrupted` raised
     interrupted: threading.Event = field(default_factory=threading.Event)
-    programs: dict[Any, _Program] = field(default_factory=dict)
+    programs: dict[Any, _Program] = field(default_factory=dict)  #: that were compiled
+    #: the seconds that compiling took ahead of time
     prepared: dict[Work, float] = field(default_factory=dict)
 
     def play(
@@ -240,10 +213,7 @@ class Engine:
 
     def prepare(self, several: Mapping[Work, Runs]) -> None:
         """Compiles at a time what is played next, which alone keeps little more than a core busy;
-        not what waits for data that the host collects.
-
-        Raises:
-            InputError: where there is too little memory.
+        not what waits for data that the host collects. `InputError` where memory is short.
         """
 
         def compiled(made: Mapping[Any, _Program]) -> float:
@@ -276,8 +246,7 @@ class Engine:
         lacking = {_known(work, runs, place): place for place in where}
         return {
             known: _Program(work, runs, collected, place, where.count(place))
-            for known, place in lacking.items() if known not in self.programs
-        }  # fmt: skip
+            for known, place in lacking.items() if known not in self.programs}  # fmt: skip
 
     def _compile(self, made: Mapping[Any, _Program]) -> None:
         for known, program in made.items():
@@ -332,11 +301,7 @@ class _Program:
         self.lowered["piece"] = piece_of, optimised(work.level, place)
 
     def compile(self) -> None:
-        """Compiles it, and looks at the memory that it takes.
-
-        Raises:
-            InputError: where there is too little.
-        """
+        """Compiles it, and looks at the memory it takes: `InputError` where there is too little."""
         with ThreadPoolExecutor(len(self.lowered)) as pool:  # XLA compiles without Python's lock
             made = pool.map(
                 lambda one: one[0].compile(compiler_options=one[1]), self.lowered.values()
