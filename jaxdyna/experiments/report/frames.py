@@ -10,10 +10,9 @@ from PIL import Image, ImageDraw, ImageFont
 from jaxdyna.experiments.report.plots import WIDTH, save, subplots
 
 SCALE, WIDEST, CAPTION_WIDTH = 16, 320, 190
+#: pixels across of a page, which a film is not wider than, and between two columns
 PAGE, GAP = 830, 12
-"""Pixels across of a page, which a film is not wider than, and between two columns."""
-LETTERS = 15
-"""Of a caption: pixels, and as many where a page shows it."""
+LETTERS = 15  #: of a caption: pixels, and as many where a page shows it
 PAUSE_MS = 160
 TITLES = ("input (older fainter)", "what came", "what was believed", "error")
 

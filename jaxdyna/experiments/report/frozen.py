@@ -20,12 +20,10 @@ from jaxdyna.experiments.report.tables import (
 )
 from jaxdyna.statistics import SolveRule, mean_of_runs, summarise
 
+#: real steps before the first snapshot; each other one comes after twice as many as the last
 FIRST = 50
-"""Real steps before the first snapshot; each other one comes after twice as many as the last."""
-SHOWN = 5
-"""Snapshots in a table, the last ones."""
-POINTS = 200
-"""Of the figure's lines."""
+SHOWN = 5  #: snapshots in a table, the last ones
+POINTS = 200  #: of the figure's lines
 
 
 def threshold(curves: Curves, rule: SolveRule) -> float:
@@ -98,8 +96,7 @@ def at_steps(record: Any) -> str:
     steps = sorted({step for arm in arms.values() for step in arm}, key=int)[-SHOWN:]
     rows = [
         [name, *(with_interval(arm[step], 1) if step in arm else "-" for step in steps)]
-        for name, arm in arms.items()
-    ]  # fmt: skip
+        for name, arm in arms.items()]  # fmt: skip
     return paragraphs(
         "The mean return of the policy as it was after so many real steps, greedy, in new episodes "
         "(95% interval; -: some run had none yet):",

@@ -20,8 +20,7 @@ from matplotlib.patheffects import withStroke
 from jaxdyna.experiments.report import tables
 from jaxdyna.statistics import FEW, carried, mean_interval, running_mean, share_interval
 
-WIDTH = 8.3
-"""Of every figure, in inches: 830 pixels where pages show them."""
+WIDTH = 8.3  #: of every figure, in inches: 830 pixels where pages show them
 BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
 BLUE, VERMILION, PURPLE = "#0072b2", "#d55e00", "#cc79a7"
 SOLID, DASHED, DOTTED = "-", (0, (5, 2)), (0, (1, 1.2))
@@ -45,26 +44,23 @@ LOOKS = {
     "linear_model": Look(SKY, DASHED), "dqn": Look(VERMILION, SOLID),
     "dyna_l2": Look(SKY, LONG), "dyna_adversarial": Look(BLUE, DASH_DOTTED),
     "true_ball": Look(ORANGE, SOLID), "true_own": Look(PURPLE, SOLID),
-    "true_opponent": Look(BLACK, DOTTED), "true_frames": Look(BLUE, SOLID),
-}  # fmt: skip
+    "true_opponent": Look(BLACK, DOTTED), "true_frames": Look(BLUE, SOLID)}  # fmt: skip
+#: of lines that have none of their own, one after the other
 OTHERS = [
     Look(color, linestyle)
     for linestyle, color in product(
         (SOLID, DASHED, DOTTED, DASH_DOTTED), (GREEN, BLUE, VERMILION, PURPLE, SKY, ORANGE, BLACK)
     )
 ]
-"""Of lines that have none of their own, one after the other."""
+#: of levels that points are compared with
 REFERENCES = Look(BLUE, DOTTED), Look(VERMILION, DASH_DOTTED), Look(PURPLE, DASHED)
-"""Of levels that points are compared with."""
 MARK, FAINT = VERMILION, "#767676"
-MARKED = 5
-"""Points of a line that are marked: of one alone nothing would be seen."""
+MARKED = 5  #: points of a line that are marked: of one alone nothing would be seen
 FIG5 = {
     "truth": {"color": ORANGE, "linewidth": 3.5, "label": "real environment"},
     "one_step": {"color": BLUE, "linewidth": 1.3, "label": "model, one step ahead"},
     "open_loop": {"color": BLACK, "linewidth": 1.3, "linestyle": DASHED,
-                  "label": "model, fed with its own predictions"},
-}  # fmt: skip
+                  "label": "model, fed with its own predictions"}}  # fmt: skip
 
 
 def learning_curves(
@@ -111,7 +107,7 @@ def bands(
     interval: Callable[[np.ndarray], Any] | None = None, **axes: Any,
 ) -> bool:  # fmt: skip
     """Means over seeds, `shaded`: panels by title, in each of them lines by name. Panels in which
-    nothing varies are left out, and where that is all of them there is no figure.
+    nothing varies are left out; where all are, there is no figure. Returns whether there is one.
 
     Args:
         path: the PNG.
@@ -125,9 +121,6 @@ def bands(
         legend: its title.
         interval: what is shaded instead, ``[seeds, n] -> [2, n]``.
         axes: of every panel, as ``matplotlib.axes.Axes.set`` takes them.
-
-    Returns:
-        Whether there is a figure.
     """
     panels = {title: lines for title, lines in panels.items() if _vary(lines.values())}
     if not panels:

@@ -89,16 +89,14 @@ def _winner(figure: Results, name: str, names: Sequence[str]) -> str:
 
 
 def edge_of_grid(names: Sequence[str], winner: str, last: Sequence[str] = ("1-step",)) -> list[str]:
-    """In what a winner stands at an end of what was tried.
+    """Those of a winner's values that stand at an end of what was tried: that have a number and
+    come first or last in their place.
 
     Args:
         names: of all rows, such as ``"ratio 1, resets, rate 0.001, 3-step"``: what is varied in
             the same order, and the values of each as they rise or fall.
         winner: one of them.
         last: beyond which there is nothing to try.
-
-    Returns:
-        Those of the winner's values that have a number and come first or last in their place.
     """
     places = zip(*(name.split(", ") for name in names), strict=True)
     tried = [list(dict.fromkeys(place)) for place in places]

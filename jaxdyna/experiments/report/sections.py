@@ -16,8 +16,7 @@ from jaxdyna.experiments.report.tables import Results, markdown_table, paragraph
 from jaxdyna.statistics import FEW, episodes_to_solve, mean_of_runs, summarise
 
 Section = Callable[[Any], str]
-Rule = Callable[[Any], Any]
-"""Of options their `SolveRule`, or None."""
+Rule = Callable[[Any], Any]  #: of options their `SolveRule`, or None
 P = ParamSpec("P")
 COUNTED = (
     "The rule is the same for all arms and counts every real episode. An unsolved run is never "
@@ -25,19 +24,17 @@ COUNTED = (
 )
 NONE_OF_FEW = "Figures of solving have no interval: of five runs or fewer none can be trusted."
 QUANTILES = (5, 50, 95, 99)
-LOWERED = np.linspace(0.5, 1, 11)
-"""Shares of a rule's threshold."""
+LOWERED = np.linspace(0.5, 1, 11)  #: shares of a rule's threshold
+#: curves of how wrong a model is one step ahead: `jaxdyna.models.evaluation.frame_errors`
 WRONG = {
     "wrong_frames": "share of new frames predicted wrong",
     "wrong_rewards": "share of new rewards predicted wrong",
 }
-"""Curves of how wrong a model is one step ahead: `jaxdyna.models.evaluation.frame_errors`."""
 NOT_SHOWN = ("preset", "quick", "arms")
+#: what settings begin with that are told only where one of these arms, or of what begins so, is
 ARMS_OWN = {
     "dqn": ("dqn",), "mpc": ("mpc",), "mcts": ("mcts",),
-    "cloning": ("mpc_init", "mpc_clone"), "shown": ("mpc_init", "mpc_clone"),
-}  # fmt: skip
-"""What settings begin with that are told only where one of these arms, or of what begins so, is."""
+    "cloning": ("mpc_init", "mpc_clone"), "shown": ("mpc_init", "mpc_clone")}  # fmt: skip
 
 
 def told(section: Callable[Concatenate[Any, P], str]) -> Callable[P, Section]:
@@ -78,8 +75,7 @@ def solving(
         markdown_table(header, lines), "" if count > FEW else NONE_OF_FEW, _never(record),
         _half(record.results),
         *comparisons(record.results, ratio), _windowless(record.results), _price(record.results),
-        swept(record),
-    )  # fmt: skip
+        swept(record))  # fmt: skip
 
 
 def _half(results: Results) -> str:
@@ -262,8 +258,7 @@ def swept(record: Any) -> str:
         panels = {
             arm: {str(value): record.curves[name]["real_return"]
                   for (value,), name in zip(points, names, strict=True)}
-            for arm, names in whole.items()
-        }  # fmt: skip
+            for arm, names in whole.items()}  # fmt: skip
         said = plots.shaded(np.array(record.results["runs"]["seeds"]))
         axes = "real episodes (running mean of 20)", f"return: mean of runs, {said}"
         if not plots.bands(file, panels, *axes, window=20, legend=next(iter(sweep))):
@@ -296,8 +291,7 @@ def endings(record: Any, rule: Rule) -> str:
         [name, f"{arm['episodes_played']['mean']:,.0f}",
          tables.with_interval(arm["final_return"], 1 if solves.threshold > 10 else 2),
          "-" if short else f"{arm['solved_and_held']}/{arm['final_return']['seeds']}"]
-        for name, arm in record.results["arms"].items()
-    ]  # fmt: skip
+        for name, arm in record.results["arms"].items()]  # fmt: skip
     last = f"return of a run's last {solves.window}: mean (95% interval)"
     return paragraphs(
         markdown_table(["arm", "episodes played", last, "solved and held"], rows),
@@ -327,8 +321,7 @@ def equal_episodes(
         [name, tables.with_interval(mean_of_runs(mine), 2),
          *("-" if name == other else tables.with_interval(mean_of_runs(mine - at[other]), 2, "+")
            for other in known)]
-        for name, mine in at.items()
-    ]  # fmt: skip
+        for name, mine in at.items()]  # fmt: skip
     return paragraphs(
         f"After as many real episodes: the mean return of episodes {end - last + 1} to {end}, the "
         "last that every run has played, and less another arm's run by run; 95% intervals over "
@@ -375,8 +368,7 @@ def kept_policies(record: Any) -> str:
     rows = [
         [name, tables.with_interval(said, 1), ", ".join(f"{one:.10g}" for one in said["per_seed"]
                                                         if one is not None)]
-        for name, said in kept.items()
-    ]  # fmt: skip
+        for name, said in kept.items()]  # fmt: skip
     if not rows:
         return ""
     episodes = next(iter(kept.values()))["episodes"]
@@ -394,8 +386,7 @@ def spent(record: Any) -> str:
     rows = [
         [name, f"{one.get('compile_s', 0):,.1f}",
          f"{one.get('run_s', one.get('measure_s', 0)):,.1f}"]
-        for name, one in timing["arms"].items()
-    ]  # fmt: skip
+        for name, one in timing["arms"].items()]  # fmt: skip
     rows.append(["all, with drawing", "", f"{timing['total_s']:,.1f}"])
     header = [f"arm ({device['cpu_cores']} cores)", "compiling (s)", "running and judging (s)"]
     peak = device["peak_memory_gib"]

@@ -79,8 +79,7 @@ def solve_table(results: Results, figure: str = "episodes_to_solve") -> Table:
     header = ["arm", f"solved in {budget:,}", f"{said}: mean (95% interval)", "median (95%)"]
     return header, [
         [name, f"{found['solved']}/{found['seeds']}", with_interval(found), median(found)]
-        for name, arm in results["arms"].items() if (found := figure_at(arm, figure))
-    ]  # fmt: skip
+        for name, arm in results["arms"].items() if (found := figure_at(arm, figure))]  # fmt: skip
 
 
 def spoken(figure: str) -> str:
