@@ -19,23 +19,14 @@ from jaxdyna.types import Transition
 
 
 class Measure(NamedTuple):
-    """How wrong a model is.
+    """How wrong a model is."""
 
-    Attributes:
-        curve: its name: the model's error in each real episode.
-        episodes: so many with dreams are judged, or as many as a run plays.
-        axis: the figure's.
-        said: what it is, in sentences.
-        lines: rows without a model, drawn as lines.
-        hollow: what the names of rows begin with that are no worse, but otherwise handicapped.
-    """
-
-    curve: str
-    episodes: int
-    axis: str
-    said: str
-    lines: tuple[str, ...]
-    hollow: str
+    curve: str  #: its name: the model's error in each real episode
+    episodes: int  #: so many with dreams are judged, or as many as a run plays
+    axis: str  #: the figure's
+    said: str  #: what it is, in sentences
+    lines: tuple[str, ...]  #: rows without a model, drawn as lines
+    hollow: str  #: what the names of rows begin with that are no worse, but otherwise handicapped
 
 
 def on_common(dyna: Dyna, common: Transition) -> Dyna:
@@ -74,8 +65,7 @@ def accuracy(record: Any, measure: Measure, column: str = "episodes_to_solve") -
     plots.error_scatter(
         record.out / "accuracy.png", errors, solved,
         {name: solved[name].mean() for name in measure.lines if name in solved}, measure.axis,
-        f"{axis} (unsolved counted as {limit(arms, column)})", hollow,
-    )  # fmt: skip
+        f"{axis} (unsolved counted as {limit(arms, column)})", hollow)  # fmt: skip
     rank, low, high = rank_correlation(
         *(np.stack([values[name] for name in compared]) for values in (errors, solved))
     )

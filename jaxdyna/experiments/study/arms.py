@@ -18,9 +18,10 @@ from jaxdyna.sweep import RUNS
 from jaxdyna.types import Agent, Key
 
 Made = Callable[[], Arm]
+#: ``(dyna, config, state, key, hparams) -> arrays`` of a run that is over
 Judged = Callable[[Dyna, DynaConfig, DynaState, Key, DynaHParams], dict[str, jax.Array]]
-"""``(dyna, config, state, key, hparams) -> arrays`` of a run that is over."""
 
+#: what the standard arms are
 SAID = {
     "model_free": "the agent alone.",
     "dyna": "with fake episodes from the model that it learns.",
@@ -29,7 +30,6 @@ SAID = {
     "more_updates": "as many updates as `dyna` at the same times, all of them on real steps.",
     "max_updates": "`dyna`'s late rate of updates from the first episode on, on real steps alone.",
 }
-"""What the standard arms are."""
 
 
 class Given(Protocol):
@@ -47,9 +47,6 @@ class Given(Protocol):
 class Hooks(NamedTuple):
     """What an experiment wants to know of its arms' runs: of every one that is over, and of the
     first alone; ``piece``, ``block`` and ``level`` as in `Work`.
-
-    Attributes:
-        given: models that were trained before; None: a run's learns from what the run plays.
     """
 
     judge: Judged | None = None
@@ -57,6 +54,7 @@ class Hooks(NamedTuple):
     piece: int = 50
     block: int = 1
     level: int = 3
+    #: models that were trained before; None: a run's learns from what the run plays
     given: Given | None = None
 
 
@@ -82,8 +80,7 @@ def dyna_work(dyna: Dyna, config: DynaConfig, hooks: Hooks) -> Work:
     return Work(
         make_init(dyna, config), step, collect=hooks.given, judge=told(hooks.judge),
         show=told(hooks.show), piece=hooks.piece, block=hooks.block, level=hooks.level,
-        trained=None if plans else trained,
-    )  # fmt: skip
+        trained=None if plans else trained)  # fmt: skip
 
 
 def dyna_arm(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, hooks: Hooks) -> Arm:
@@ -156,8 +153,7 @@ def all_real(hparams: DynaHParams) -> DynaHParams:
     """Under which a DQN makes ``dyna``'s updates at ``dyna``'s times on real steps alone."""
     return replace(
         hparams, model_trains=False, agent=replace(hparams.agent, fake_share=0.0),
-        dream=replace(hparams.dream, uncertainty_threshold=math.inf),
-    )  # fmt: skip
+        dream=replace(hparams.dream, uncertainty_threshold=math.inf))  # fmt: skip
 
 
 def greedy(hparams: Any) -> Any:
@@ -178,10 +174,7 @@ def busy(config: Any, dyna: DynaConfig) -> Any:
 
 def sized(config: Any, dyna: DynaConfig, path: str = "agent") -> Any:
     """A DQN's config, the option of that path, with room for what a run can add to its replays and
-    no more.
-
-    Raises:
-        SettingError: where that is more than can be counted.
+    no more. `SettingError` where that is more than can be counted.
     """
     if config.n_step > dyna.num_steps:
         said = f"is {config.n_step}: an episode has {dyna.num_steps} steps at the most"

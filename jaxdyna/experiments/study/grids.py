@@ -11,12 +11,9 @@ from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.rows import ranking
 
 Rows = dict[str, Overrides]
-TARGETS = (1, 3)
-"""Rewards in a target."""
-RATES = (3e-4, 1e-3)
-"""A DQN's learning rates."""
-SHARES = (0.5, 0.75)
-"""Of each batch that are dreamed."""
+TARGETS = (1, 3)  #: rewards in a target
+RATES = (3e-4, 1e-3)  #: a DQN's learning rates
+SHARES = (0.5, 0.75)  #: of each batch that are dreamed
 
 
 def baselines(
@@ -70,8 +67,7 @@ def grid(
     return Study(
         name=name, title=title, of=of, preset="tuned", rows=rows, arm=arm,
         common={"stop_after_solved": 0, "dyna.eval_every": 0},
-        sections=(ranking(rows), report.settings, report.spent),
-    )  # fmt: skip
+        sections=(ranking(rows), report.settings, report.spent))  # fmt: skip
 
 
 def both_grids(
@@ -91,5 +87,4 @@ def both_grids(
     title = f"The strongest agent without a model in {world}"
     return grid("baselines", title, of, "model_free", alone), grid(
         "dyna_grid", f"Dyna in {world}, with as many settings", of, "dyna",
-        lambda options: dreams(counts, kept),
-    )  # fmt: skip
+        lambda options: dreams(counts, kept))  # fmt: skip
