@@ -27,6 +27,7 @@ from jaxdyna.rollout import rollout
 from jaxdyna.types import Key, Transition
 
 FAINT = 0.05
+#: what the models are
 SAID = {
     "paper": "Fig. 4 with the multi-label cross-entropy. Not in the paper: the number of channels "
     "(the authors' code has 128), weight decay and the cosine, an action's factor of the product "
@@ -38,35 +39,28 @@ SAID = {
     "lean_l2": "the same under L2.",
     "lean_l1": "the same under L1.",
 }
-"""What the models are."""
+#: as which of them they are trained: ``paper`` or ``lean``
 TRAINED = {arm: arm.partition("_")[0] for arm in SAID}
-"""As which of them they are trained: ``paper`` or ``lean``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GridOptions(FrameOptions, ABC):
-    """Frame models of a grid; a subclass has its `world`.
+    """Frame models of a grid; a subclass has its `world`."""
 
-    Attributes:
-        own_head: the reward head of our models: joint, off the features of stack and action; local,
-            a sum over cells of the predicted frame.
-        channels: see `World`.
-    """
-
+    #: the reward head of our models: joint, off the features of stack and action; local, a sum over
+    #: cells of the predicted frame
     own_head: ClassVar[Literal["joint", "local"]] = "local"
-    channels: ClassVar[tuple[int, ...]] = (0, 1, 2)
+    channels: ClassVar[tuple[int, ...]] = (0, 1, 2)  #: see `World`
 
     arms: tuple[str, ...] = setting(("paper", "lean"), "the models that are trained", everyday=True)
     episodes: int = setting(300, "episodes of the random policy at the most", at_least=1,
                             everyday=True)  # fmt: skip
     stages: tuple[int, ...] = setting(
         (10, 30, 100, 300), "after how many of them a model is trained, from scratch, and judged; "
-        "those above --episodes are left out", at_least=1, everyday=True,
-    )  # fmt: skip
+        "those above --episodes are left out", at_least=1, everyday=True)  # fmt: skip
     ablation_stage: int = setting(
         100, "the stage at which losses are compared, the only one of models with another loss",
-        at_least=1, everyday=True,
-    )  # fmt: skip
+        at_least=1, everyday=True)  # fmt: skip
     widths: tuple[int, int, int] = setting((32, 32, 32), "channels of the paper's convolutions",
                                            at_least=1)  # fmt: skip
     kernels: tuple[int, int, int] = setting((5, 4, 4), "cells a side of their kernels", at_least=1)
@@ -110,8 +104,7 @@ def experiment(
     said = FrameReport(said=SAID, prefer=near, rules=rules, **report)
     return Experiment(
         name="frames", title=title, presets=presets, arms=arms, quick=quick,
-        describe=(said.describe,), sections=said.sections,
-    )  # fmt: skip
+        describe=(said.describe,), sections=said.sections)  # fmt: skip
 
 
 def arms(options: GridOptions) -> dict[str, Callable[[], Arm]]:
@@ -161,8 +154,7 @@ def config_of(options: GridOptions, arm: str) -> PixelConfig:
         head = JointReward() if arm == "paper_reward" else None
     return PixelConfig(
         network, loss, 0.2 if papers and loss is bce else 0.5, head, training.reward_weight,
-        optimizer=decayed_adam(training.weight_decay),
-    )  # fmt: skip
+        optimizer=decayed_adam(training.weight_decay))  # fmt: skip
 
 
 @cache
@@ -200,8 +192,7 @@ def random_episodes(options: GridOptions, rare_share: float | None) -> World:
     return World(
         data, sample, take, truth, options.held_out, options.steps, (options.dream_from,),
         options.horizon, options.channels, lambda data: (0, max(options.dream_from - 1, 0)),
-        faint=FAINT, tolerance=min(filter(None, smallest), default=1.0) / 2,
-    )  # fmt: skip
+        faint=FAINT, tolerance=min(filter(None, smallest), default=1.0) / 2)  # fmt: skip
 
 
 def collected(play: Callable[[Key], Any], key: Key, episodes: int, steps: int) -> FrameReplay:

@@ -22,8 +22,7 @@ class Training(fields.Checked):
                                   at_least=0)  # fmt: skip
     rare_share: float | None = setting(
         0.5, "at least this share of a batch are steps with a reward below or above 0, half each "
-        "where there are both; None: as they come", at_least=0, at_most=1,
-    )  # fmt: skip
+        "where there are both; None: as they come", at_least=0, at_most=1)  # fmt: skip
     reward_weight: float = setting(1.0, "of the reward's squared error beside the frame's loss",
                                    at_least=0)  # fmt: skip
 
@@ -42,8 +41,7 @@ class FrameOptions(Options):
     held_out: int = setting(20, "new episodes that models are judged on", at_least=1, everyday=True)
     loss_every: int = setting(
         0, "gradient steps from one look at the loss, on new and on old episodes, to the next; 0 "
-        "never looks", at_least=0,
-    )  # fmt: skip
+        "never looks", at_least=0)  # fmt: skip
     horizon: int = setting(50, "steps of an open-loop dream", at_least=1, everyday=True)
 
     def __post_init__(self) -> None:
@@ -51,5 +49,4 @@ class FrameOptions(Options):
         if self.dream_from + self.horizon > self.steps:
             raise fields.SettingError(
                 "horizon", f"is {self.horizon}: {self.dream_from} steps and it, where dreams end, "
-                f"must be at most an episode's {self.steps} steps",
-            )  # fmt: skip
+                f"must be at most an episode's {self.steps} steps")  # fmt: skip

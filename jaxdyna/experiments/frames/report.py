@@ -16,41 +16,30 @@ from jaxdyna.experiments.report.sections import grouped, paragraphs
 from jaxdyna.experiments.report.summaries import Curves
 from jaxdyna.experiments.report.tables import Table, markdown_table, with_interval
 
-WHOSE = ("new", "old")
-"""Episodes whose losses are looked at."""
-DREAM = "show_film_dream"
-"""Of the first run, where it was played, as all other pictures."""
+WHOSE = ("new", "old")  #: episodes whose losses are looked at
+DREAM = "show_film_dream"  #: of the first run, where it was played, as all other pictures
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameReport:
-    """The report's sections, each a method; a world leaves out or adds some.
+    """The report's sections, each a method; a world leaves out or adds some."""
 
-    Attributes:
-        classes: see `scored`.
-        kinds: likewise.
-        about: ``(record) -> Markdown``: what was done.
-        said: what each model is.
-        stage: what an arm's stage is, over a column.
-        scores: of `SCORES`, those that are shown.
-        paper: by stage the paper's own figures of the first of them, by class.
-        prefer: ``(options, stages) -> stage`` at which models are compared.
-        filmed: models whose dreams are filmed, where there are any of them; all by default.
-        rules: what the rules of `Asked` are called.
-        seen: ``(options, stack) -> picture`` in [0, 1] of the stack before a step; by default of
-            one on black, the older frames fainter.
-    """
-
-    classes: tuple[str, ...]
-    about: Callable[[Record], str]
-    kinds: tuple[str, ...] = ()
-    said: Mapping[str, str] = field(default_factory=dict)
-    stage: str = "episodes"
-    scores: Sequence[str] = ("f1",)
+    classes: tuple[str, ...]  #: see `scored`
+    about: Callable[[Record], str]  #: ``(record) -> Markdown``: what was done
+    kinds: tuple[str, ...] = ()  #: see `scored`
+    said: Mapping[str, str] = field(default_factory=dict)  #: what each model is
+    stage: str = "episodes"  #: what an arm's stage is, over a column
+    scores: Sequence[str] = ("f1",)  #: of `SCORES`, those that are shown
+    #: by stage the paper's own figures of the first of them, by class
     paper: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    #: ``(options, stages) -> stage`` at which models are compared
     prefer: Callable[[Any, list[str]], str] = lambda options, stages: stages[-1]
+    #: models whose dreams are filmed, where there are any of them; all by default
     filmed: Sequence[str] = ()
+    #: what the rules of `Asked` are called
     rules: Mapping[str, str] = field(default_factory=lambda: {"lit": "threshold"})
+    #: ``(options, stack) -> picture`` in [0, 1] of the stack before a step; by default of one on
+    #: black, the older frames fainter
     seen: Callable[[Any, np.ndarray], np.ndarray] = lambda _, stack: pictures.trail(stack / 255)
 
     def describe(self, options: Any, curves: Curves) -> Results:
@@ -109,8 +98,7 @@ class FrameReport:
         said = f"input, truth, belief and error, by {self.stage}"
         return paragraphs(*(
             self.grid(record, f"fig7_{arm}.png", stages, f"{arm}: {said}")
-            for arm, stages in grouped(record).items() if len(stages) > 1
-        ))  # fmt: skip
+            for arm, stages in grouped(record).items() if len(stages) > 1))  # fmt: skip
 
     def losses(self, record: Record) -> str:
         """What each loss makes of a picture and which threshold serves it, at one stage."""
@@ -120,8 +108,7 @@ class FrameReport:
             record.out / "thresholds.png",
             {arm: f1(judged["one_step"]) for arm, judged in curves.items()},
             "threshold (dot: the one used)", "F1", at=THRESHOLDS,
-            dots={arm: [used_threshold(judged)] for arm, judged in curves.items()},
-        )  # fmt: skip
+            dots={arm: [used_threshold(judged)] for arm, judged in curves.items()})  # fmt: skip
         return paragraphs(
             "## Losses and thresholds",
             f"{self.stage.capitalize()}: {stage}. Believed: how sure the model is of a pixel that "
@@ -139,8 +126,7 @@ class FrameReport:
                 f"{with_interval(share, 3)} of {share['steps']:,}" if share["steps"]
                 else "no such step" for share in arm["reward_right"].values()
             )]
-            for arm in record.results["arms"].values() if arm["reward_right"]
-        ]  # fmt: skip
+            for arm in record.results["arms"].values() if arm["reward_right"]]  # fmt: skip
         if not rows:
             return "## Rewards\n\nNot predicted."
         said = "Share predicted to within half the smallest reward, by what happened."
@@ -213,8 +199,7 @@ class FrameReport:
         rows = [
             [*cells, *([_called(score)] if several else []),
              *(with_interval(said[score][one], 3) for one in self.classes)]
-            for cells, said in parts for score in scores
-        ]  # fmt: skip
+            for cells, said in parts for score in scores]  # fmt: skip
         return [*first, *(["score"] if several else []), *self.classes], rows
 
     def _draw(
@@ -232,8 +217,7 @@ class FrameReport:
         shows = {label: record.curves[name] for label, name in names.items()}
         rows = {
             label: (curves["show_truth"] / 255, curves["show_belief"])
-            for label, curves in shows.items() if "show_truth" in curves
-        }  # fmt: skip
+            for label, curves in shows.items() if "show_truth" in curves}  # fmt: skip
         if not rows:
             return ""
         seen = self.seen(record.options, shows[next(iter(rows))]["show_seen"])

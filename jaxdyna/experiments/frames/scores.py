@@ -28,8 +28,7 @@ def precision(counts: np.ndarray) -> np.ndarray:
 
 
 SCORES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "f1": f1, "recall": recall, "precision": precision,
-}  # fmt: skip
+    "f1": f1, "recall": recall, "precision": precision}  # fmt: skip
 
 
 def scored(classes: Sequence[str], kinds: Sequence[str], curves: Curves) -> Results:

@@ -21,10 +21,8 @@ from jaxdyna.trees import finite
 from jaxdyna.types import DynamicsModel, Key
 
 PIECE = 100
-LOOKED_AT = 16
-"""Steps of each new episode whose loss is looked at."""
-LOOKS = 2**32 - 1
-"""Folded into a run's key: no gradient step has this number."""
+LOOKED_AT = 16  #: steps of each new episode whose loss is looked at
+LOOKS = 2**32 - 1  #: folded into a run's key: no gradient step has this number
 
 
 @struct.dataclass
@@ -69,8 +67,7 @@ def frame_work(
         state, losses = model.update(learner.model, transitions, key_update, hparams_of(rate))
         broken = jnp.where(finite(losses["loss"]), 0.0, 1.0 + DIVERGED.index("model"))
         return replace(learner, model=state), looked | {
-            "show_frame_loss": losses["frame_loss"], "diverged": broken
-        }  # fmt: skip
+            "show_frame_loss": losses["frame_loss"], "diverged": broken}  # fmt: skip
 
     def losses_of(learner: Learner, data: Any, stage: Stage) -> dict[str, jax.Array]:
         keys = jax.random.split(jax.random.fold_in(jax.random.clone(learner.key), LOOKS), 4)
@@ -89,8 +86,7 @@ def frame_work(
 
     return Work(
         init, step, data if world.data else None, world.collect, ask(judging.judge),
-        ask(judging.show), PIECE, block,
-    )  # fmt: skip
+        ask(judging.show), PIECE, block)  # fmt: skip
 
 
 def frame_arms(
@@ -112,5 +108,4 @@ def frame_arms(
 
     return {
         f"{model}@{stage}": partial(arm, model, *part)
-        for model in models for stage, part in parts(model).items()
-    }  # fmt: skip
+        for model in models for stage, part in parts(model).items()}  # fmt: skip
