@@ -46,16 +46,15 @@ SAID = study.SAID | {
     "policy that keeps the squared state small in it (a linear-quadratic regulator), told that a "
     "small state is a good one; random actions in the first episode.",
 }
+#: the oracle's dreams, from the start
 TRUTH: dict[str, Any] = {
-    "dream": Dream(CartPole(), lambda _, hparams: hparams.env), "memory": None,
-}  # fmt: skip
-"""The oracle's dreams, from the start."""
+    "dream": Dream(CartPole(), lambda _, hparams: hparams.env), "memory": None}  # fmt: skip
+#: where dreams begin: how that is drawn, and from what of a run's state
 STARTS: dict[str, Any] = {
     "observed": (lambda key, firsts: ring.sample(firsts, key, ()), lambda state: state.starts),
     "uniform": (models.uniform_start(-0.1, 0.1), lambda state: jnp.zeros(4)),
     "branched": (lambda key, held: ring.sample(held, key, ()).obs, lambda state: state.replay),
 }
-"""Where dreams begin: how that is drawn, and from what of a run's state."""
 
 
 def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]:
@@ -67,8 +66,7 @@ def arms(options: CartPoleOptions, judged: bool = True) -> dict[str, study.Made]
         hooks = hooks._replace(judge=None, show=None)
     made = study.standard_arms(
         dyna, config, hparams, dyna._replace(**TRUTH), hooks,
-        untrained={"termination_threshold": 1.0},
-    )  # fmt: skip
+        untrained={"termination_threshold": 1.0})  # fmt: skip
     late = replace(hparams, num_real_first=config.num_real_first + options.shown_episodes)
 
     def dreamless(dyna: Dyna) -> Any:
@@ -143,8 +141,7 @@ def _parts(
     kept = memory.transitions()
     dyna = Dyna(
         env, policy, learner, dream, change_error(predict), safe=survived if rests else None,
-        memory=memory.forgetting(kept, forget_every) if forget_every else kept,
-    )  # fmt: skip
+        memory=memory.forgetting(kept, forget_every) if forget_every else kept)  # fmt: skip
     return on_common(dyna, model.common_transitions()) if common else dyna
 
 

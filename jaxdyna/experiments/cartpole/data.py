@@ -28,8 +28,8 @@ from jaxdyna.types import Key, Transition
 
 SOURCES = ("random policy", "trained policy", "all policies of a learning run")
 HALF = "trained policy, half its actions random"
+#: whose new episodes models are judged on, and the share of their actions at random
 JUDGES = {"random policy": 1.0, "trained policy": 0.0, HALF: 0.5}
-"""And the share of their actions at random."""
 HORIZON = 50
 SHOWN_STEPS = (1, 10, 25, HORIZON)
 ARM = "study"
@@ -84,8 +84,7 @@ def work(options: DataOptions) -> Work:
     return Work(
         init=lambda key, _: key,
         step=lambda key, _, unit, hparams: (jax.random.clone(key), study(key)),
-        piece=1, block=options.block,
-    )  # fmt: skip
+        piece=1, block=options.block)  # fmt: skip
 
 
 def _policy(setup: Setup, agent: Any, random_share: float) -> Any:
@@ -178,8 +177,7 @@ def section(record: Any) -> str:
             [[name, *(tables.with_interval(one, 3) for one in row.values())]
              for name, row in rows.items()],
         )
-        for rows in (said["change_r2"], said["open_loop_error"])
-    )  # fmt: skip
+        for rows in (said["change_r2"], said["open_loop_error"]))  # fmt: skip
     return report.paragraphs(
         f"{tables.runs(len(errors))}. In each a policy is trained; the `tuned` preset's model is "
         "then fitted to each kind of transitions, and judged on new episodes of each policy.",
@@ -191,8 +189,7 @@ def section(record: Any) -> str:
         "## Fed with its own predictions",
         "Root mean square error on episodes of the trained policy, by dreamed step, in standard "
         "deviations of the state.",
-        fed, "![error against horizon](horizon.png)",
-    )  # fmt: skip
+        fed, "![error against horizon](horizon.png)")  # fmt: skip
 
 
 DATA = Experiment(

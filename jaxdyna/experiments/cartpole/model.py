@@ -25,8 +25,7 @@ SHOWN = {
 }
 KINDS = ("truth", "one_step", "open_loop")
 HELD_OUT_EPISODES = 20
-COMMON = {0.0: 134, 0.3: 133, 1.0: 133}
-"""Transitions by the share of their actions at random."""
+COMMON = {0.0: 134, 0.3: 133, 1.0: 133}  #: transitions by the share of their actions at random
 DREAMS = {"fake_length": "fake length", "real_length": "real length", "fake_return": "fake return"}
 
 
@@ -109,8 +108,7 @@ def describe(options: Any, curves: Curves) -> Results:
                 "per_seed": one.tolist(),
             }
             for name, one in zip(STATES, curves[f"r2_{kind}"].T, strict=True)
-        } for kind in ("state", "change")
-    }}  # fmt: skip
+        } for kind in ("state", "change")}}  # fmt: skip
 
 
 def section(record: Any) -> str:
@@ -129,8 +127,7 @@ def section(record: Any) -> str:
         rows = [
             [name, state, *(number(model[f"one_step_r2_{kind}"][state][of], 4)
                             for kind in ("state", "change") for of in ("median", "min"))]
-            for name, model in models.items() for state in STATES
-        ]  # fmt: skip
+            for name, model in models.items() for state in STATES]  # fmt: skip
         header = ["model of", "variable", "next state: median", "worst run", "change: median",
                   "worst run"]  # fmt: skip
         said += [
@@ -153,7 +150,6 @@ def _fig5(record: Any, name: str) -> str:
     episodes = {
         title: {kind: curves[f"show_{who}_{kind}"][: int(curves[f"show_{who}_length"])]
                 for kind in KINDS}
-        for who, title in SHOWN.items()
-    }  # fmt: skip
+        for who, title in SHOWN.items()}  # fmt: skip
     plots.prediction_figure(record.out / file, episodes, OUTPUTS)
     return f"![Fig. 5: predictions of the first run's model of {name}]({file})"

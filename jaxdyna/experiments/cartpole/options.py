@@ -39,68 +39,56 @@ class CartPoleOptions(Options):
     )
     dream_start: Literal["observed", "uniform", "branched"] = setting(
         "observed", "where dreams begin: first observations of real episodes, the authors' uniform "
-        "±0.1, or any observation of a real episode", everyday=True,
-    )  # fmt: skip
+        "±0.1, or any observation of a real episode", everyday=True)  # fmt: skip
     dream_noise: float = setting(
         0.0, "standard deviation of noise on every predicted state, in those of the targets",
-        at_least=0,
-    )  # fmt: skip
+        at_least=0)  # fmt: skip
     authors_bug: bool = setting(
         False, "whether the dreamed pole angle is overwritten with the cart's velocity, as the "
-        "authors' code does",
-    )  # fmt: skip
+        "authors' code does")  # fmt: skip
     judged_on: Literal["own", "common"] = setting(
         "own", "what a model is judged on: each real episode before it is trained on it, or the "
-        "same transitions for all models",
-    )  # fmt: skip
+        "same transitions for all models")  # fmt: skip
     rest_when_safe: bool = setting(
         False, "whether dreaming stops once no fake episode of two updates in a row fell; then "
         "model and policy learn of no dreams until a real episode falls: what works is left alone",
     )  # fmt: skip
     forget_every: int = setting(
         0, "real episodes after which the replay is emptied, as the authors' code does; 0 never",
-        at_least=0,
-    )  # fmt: skip
+        at_least=0)  # fmt: skip
     mcts_rollout: int = setting(
         20, "steps of the random episode in the model that says what a node is worth", at_least=1
     )
     shown_episodes: int = setting(
         20, "real episodes after the first N in which arms that imitate are shown what to do",
-        at_least=1,
-    )  # fmt: skip
+        at_least=1)  # fmt: skip
     dyna: DynaConfig = setting(factory=lambda: DynaConfig(
         num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
         num_real_first=100, model_updates=60, model_batch=16, dream_updates=2, dream_episodes=8,
-        eval_every=10,
-    ))  # fmt: skip
+        eval_every=10))  # fmt: skip
     agent: ReinforceConfig = setting(factory=lambda: ReinforceConfig(advantage=per_step))
     model: SupervisedConfig = setting(factory=lambda: SupervisedConfig(
-        delta=True, normalise=True, spread=3.0, weight_variance=1 / 3,
-    ))  # fmt: skip
+        delta=True, normalise=True, spread=3.0, weight_variance=1 / 3))  # fmt: skip
     mpc: ShootingConfig = setting(factory=lambda: ShootingConfig(30, 32, temperature=5.0))
     mcts: SearchConfig = setting(factory=lambda: SearchConfig(simulations=16))
     cloning: CloningConfig = setting(factory=CloningConfig)
     hparams: DynaHParams = setting(factory=lambda: DynaHParams(
-        ReinforceHParams(), SupervisedHParams(), CartPoleParams(), DreamHParams(0.1),
-    ))  # fmt: skip
+        ReinforceHParams(), SupervisedHParams(), CartPoleParams(), DreamHParams(0.1)))  # fmt: skip
     dqn_hidden: tuple[int, ...] = setting(
         (64, 64), "widths of the hidden layers of the arm dqn", at_least=1
     )
     dqn: DQNConfig = setting(factory=lambda: DQNConfig(
         updates=0, updates_per_step=1.0, batch=64, drift=0.0, capacity=50_000, fake_capacity=1,
-        fake_episodes=1,
-    ))  # fmt: skip
+        fake_episodes=1))  # fmt: skip
     dqn_hparams: DQNHParams = setting(factory=lambda: DQNHParams(
-        discount=0.99, epsilon_episodes=50.0,
-    ))  # fmt: skip
+        discount=0.99, epsilon_episodes=50.0))  # fmt: skip
 
     def resolved(self) -> Self:
         """An episode is as long as ``--env-version`` says."""
         steps = STEPS[self.env_version]
         return changed(self, {
             "dyna.num_episodes": self.episodes, "dyna.num_steps": steps,
-            "hparams.env.max_steps": steps,
-        })  # fmt: skip
+            "hparams.env.max_steps": steps})  # fmt: skip
 
 
 def rule(options: CartPoleOptions) -> SolveRule:
@@ -119,13 +107,10 @@ LEAN = changed(TUNED, {
     "model.optimizer": optax.adam,
     "hparams.agent.learning_rate": 0.05, "hparams.agent.discount": 0.995,
     "hparams.model.learning_rate": 3e-3, "hparams.real_weight": 0.0,
-    "hparams.dream.uncertainty_threshold": 0.3,
-})  # fmt: skip
+    "hparams.dream.uncertainty_threshold": 0.3})  # fmt: skip
+#: as literally as the paper can be read; where it is silent its authors' code decides, line by line
+#: in ``docs/paper-method.md``
 PAPER = changed(TUNED, {
     "preset": "paper", "dream_start": "uniform", "agent.advantage": within_episode,
     "dyna.dream_episodes": 1, "dyna.model_updates": 200, "dyna.model_batch": 5,
-    "model.delta": False, "model.normalise": False, "model.spread": 1.0,
-})  # fmt: skip
-"""As literally as the paper can be read; where it is silent its authors' code decides, line by line
-in ``docs/paper-method.md``.
-"""
+    "model.delta": False, "model.normalise": False, "model.spread": 1.0})  # fmt: skip

@@ -58,8 +58,7 @@ READ: Rows = {
     },
     **{f"model-free, learning rate {rate}":
        {"arm": "model_free", "hparams.agent.learning_rate": rate}
-       for rate in (0.005, 0.01, 0.015, 0.02)},
-}  # fmt: skip
+       for rate in (0.005, 0.01, 0.015, 0.02)}}  # fmt: skip
 LEVER: Rows = {
     "dyna (lean preset)": {},
     "N = 1": {"dyna.num_real_first": 1},
@@ -94,12 +93,10 @@ WORSE: Rows = {
     **{f"{count} model updates an episode": {"dyna.model_updates": count} for count in (20, 5, 2)},
     "the newest 200 transitions only": {"dyna.replay_capacity": 200},
     **{f"{SHORT} {steps} steps": {"dyna.dream_steps": steps} for steps in (100, 50, 25)},
-    **CONTROLS,
-}  # fmt: skip
+    **CONTROLS}  # fmt: skip
 ALONE = baselines(
     "dqn", "dqn_hparams", ratios=(0.5, 1, 2, 4), between=5000,
-    said=lambda ratio: {"dqn.updates_per_step": float(ratio)},
-)  # fmt: skip
+    said=lambda ratio: {"dqn.updates_per_step": float(ratio)})  # fmt: skip
 DREAMING: Rows = {
     f"updates {updates}, dreams {dreams}, rate {rate:g}": {
         "dyna.dream_updates": updates, "dyna.dream_episodes": dreams,
@@ -115,23 +112,20 @@ MEASURE = Measure(
     "unexplained. Every model is judged on the same new transitions: a third each from a "
     "controller that balances the pole, from one with 30% of its actions at random, and from "
     "random actions alone.",
-    lines=("true environment as the model", "model-free"),
-)  # fmt: skip
+    lines=("true environment as the model", "model-free"))  # fmt: skip
 
 READINGS = Study(
     name="readings",
     title="Which reading of the paper gives its effect on CartPole?",
     of=OF, preset="tuned", rows=lambda options: READ,
     common={"episodes": 600, "stop_after_solved": 0, "dyna.eval_every": 0},
-    sections=(rows(), report.settings, report.spent),
-)  # fmt: skip
+    sections=(rows(), report.settings, report.spent))  # fmt: skip
 LEVERS = Study(
     name="levers",
     title="What makes the lean preset lean on CartPole?",
     of=replace(OF, describe=(first_dreams, frozen.describe(rule))),
     preset="lean", rows=lambda options: LEVER, common={"seeds": 20, "episodes": 30},
-    sections=(rows("frozen.real_steps_to_solve"), report.settings, report.spent),
-)  # fmt: skip
+    sections=(rows("frozen.real_steps_to_solve"), report.settings, report.spent))  # fmt: skip
 ACCURACY = Study(
     name="accuracy",
     title="Does sample efficiency grow with the model's accuracy?",
@@ -140,8 +134,7 @@ ACCURACY = Study(
         "episodes": 500, "stop_after_solved": 0, "judged_on": "common", "dyna.eval_every": 0,
     },
     describe=(describe(MEASURE),),
-    sections=(rows(), accuracy(MEASURE), report.settings, report.spent),
-)  # fmt: skip
+    sections=(rows(), accuracy(MEASURE), report.settings, report.spent))  # fmt: skip
 BASELINES = grid(
     "baselines", "The strongest agent without a model on CartPole", OF, "dqn", lambda options: ALONE
 )
