@@ -39,23 +39,19 @@ class CatchOptions(Options):
                                       at_least=1)  # fmt: skip
     reward_around: bool = setting(
         True, "whether the model judges a cell's reward by what is around it too, not by its "
-        "colours alone",
-    )  # fmt: skip
+        "colours alone")  # fmt: skip
     reward_weight: float = setting(
         5.0, "weight of the reward's loss beside the summed one of the pixels", at_least=0
     )
     dyna: DynaConfig = setting(factory=lambda: DynaConfig(
         num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
         num_real_first=10, model_updates=40, model_batch=16, dream_updates=1, dream_episodes=32,
-        dream_steps=9, rare_share=0.5,
-    ))  # fmt: skip
+        dream_steps=9, rare_share=0.5))  # fmt: skip
     agent: DQNConfig = setting(factory=lambda: DQNConfig(
-        updates=20, fake_updates=40, fake_capacity=10_000, n_step=3,
-    ))  # fmt: skip
+        updates=20, fake_updates=40, fake_capacity=10_000, n_step=3))  # fmt: skip
     hparams: DynaHParams = setting(factory=lambda: DynaHParams(
         DQNHParams(epsilon_hold=5.0, epsilon_episodes=20.0, discount=0.97, target_rate=0.02),
-        PixelHParams(5e-3), CatchParams(),
-    ))  # fmt: skip
+        PixelHParams(5e-3), CatchParams()))  # fmt: skip
 
     def resolved(self) -> Self:
         """Episodes last as long as the ball falls."""
@@ -63,8 +59,7 @@ class CatchOptions(Options):
         return changed(self, {
             "dyna.num_episodes": self.episodes, "dyna.num_steps": steps,
             "dyna.dream_steps": min(self.dyna.dream_steps or steps, steps),
-            "hparams.env.max_steps": steps,
-        })  # fmt: skip
+            "hparams.env.max_steps": steps})  # fmt: skip
 
 
 def rule(options: CatchOptions) -> SolveRule:
@@ -90,8 +85,7 @@ def arms(options: CatchOptions) -> dict[str, study.Made]:
     game = FrameStack(Catch(options.rows, options.columns, frames=True))
     return study.world_arms(
         game, agent_of(options), model_of(options), options.dyna, options.hparams,
-        study.Hooks(judge, piece=10, block=options.block),
-    )  # fmt: skip
+        study.Hooks(judge, piece=10, block=options.block))  # fmt: skip
 
 
 def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Any, hparams: Any) -> Metrics:
@@ -120,6 +114,7 @@ def final(record: Any) -> str:
 
 
 TUNED = CatchOptions(arms=("model_free", "dyna"), episodes=400, stop_after_solved=0)
+#: the Maze's ``lean`` as it is: nothing of it was chosen on Catch
 LEAN = changed(TUNED, {
     "preset": "lean", "episodes": 150, "stop_after_solved": 50,
     "glimpse": 5, "hidden": (128, 128), "widths": (32, 32), "reward_around": False,
@@ -132,9 +127,7 @@ LEAN = changed(TUNED, {
         updates=100, fake_updates=400, fake_capacity=8000, explore_until_rewarded=True,
     ),
     "hparams.agent": DQNHParams(epsilon_hold=5.0, epsilon_episodes=2.0),
-    "hparams.model": PixelHParams(3e-3),
-})  # fmt: skip
-"""The Maze's ``lean`` as it is: nothing of it was chosen on Catch."""
+    "hparams.model": PixelHParams(3e-3)})  # fmt: skip
 CATCH = Experiment(
     name="catch",
     title="Catch",

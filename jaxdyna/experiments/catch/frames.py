@@ -23,10 +23,8 @@ class CatchFrames(grids.GridOptions):
 
 TUNED = CatchFrames(
     steps=9, horizon=9, kernels=(3, 2, 2), widths=(8, 8, 8), dense=128, lean_widths=(16, 16),
-    paper=Training(1000, 0, 32, 3e-3, 0.2, None), lean=Training(1000, 0, 32, 1e-2),
-)  # fmt: skip
+    paper=Training(1000, 0, 32, 3e-3, 0.2, None), lean=Training(1000, 0, 32, 1e-2))  # fmt: skip
 FRAMES = grids.experiment(
     "Catch: predicting frames", {"tuned": TUNED}, {"tuned": {"seeds": 2, "stages": (10, 100)}},
     about=lambda record: "A random policy plays; F1 of lit pixels in new episodes of it.",
-    classes=("ball", "paddle"), kinds=("missed", "caught", "neither"),
-)  # fmt: skip
+    classes=("ball", "paddle"), kinds=("missed", "caught", "neither"))  # fmt: skip
