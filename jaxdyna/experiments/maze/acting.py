@@ -22,14 +22,11 @@ EPISODES = {"model_free": 700.0, "dyna": 250.0}
 RATIO = {"dyna": 0.36}
 BEHAVIOUR = {
     "collisions": "collisions an episode", "time_to_goal": "steps until the goal",
-    "waits": "steps spent waiting for an obstacle",
-}  # fmt: skip
+    "waits": "steps spent waiting for an obstacle"}  # fmt: skip
 RARE, REACHED, WAITED = 0.5, 0.9, 0.25
-WAITING = 50
-"""Episodes over which it is counted how often the agent waits: it seldom has to."""
+WAITING = 50  #: episodes over which it is counted how often the agent waits: it seldom has to
 LEARNED = {"collisions": "collisions are rare", "goal": "the goal is reached", "waits": "it waits"}
-TRAINED = ("dyna", "mpc", "mcts", "mpc_init")
-"""Arms with a model that learns."""
+TRAINED = ("dyna", "mpc", "mcts", "mpc_init")  #: arms with a model that learns
 FILMED = (1, 50, 100, 200)
 FILM_STEPS = 100
 SMOOTHED = 10
@@ -59,8 +56,7 @@ def describe(options: MazeOptions, curves: Any) -> dict[str, Any]:
     model = {
         wrong: {when: float(last_mean(curves[wrong][:, :end], SMOOTHED).mean())
                 for when, end in spans.items()}
-        for wrong in report.WRONG if wrong in curves
-    }  # fmt: skip
+        for wrong in report.WRONG if wrong in curves}  # fmt: skip
     greedy = {"share": mean_of_runs(share), "collisions": mean_of_runs(hits)}
     learned = {
         name: summarise(at, at_least=options.episodes)

@@ -32,8 +32,7 @@ from jaxdyna.types import Agent, Key, Transition
 
 STARTS, AT_ONCE = 1000, 100
 JUDGED = 2
-DRIFT = (0.1, 0.35, 0.35, 0.1, 0.1)
-"""Odds of the moves of a policy that drifts to the goal."""
+DRIFT = (0.1, 0.35, 0.35, 0.1, 0.1)  #: odds of the moves of a policy that drifts to the goal
 SAID = study.SAID | {
     "mpc": "after the first N episodes the best of random action sequences in the learned model "
     "acts, the agent's values for what comes after them. No dreams.",
@@ -55,8 +54,7 @@ def arms(options: MazeOptions, judged: bool = True) -> dict[str, study.Made]:
     dyna = parts(maze, agent, model, common, first=first)
     made = study.standard_arms(
         dyna, options.dyna, options.hparams, true_dyna(dyna, first), hooks,
-        busier=parts(maze, study.busy(agent, options.dyna), model).agent,
-    )  # fmt: skip
+        busier=parts(maze, study.busy(agent, options.dyna), model).agent)  # fmt: skip
 
     def planned(make: Any, settings: Any) -> Any:
         playing = acting(dyna, make, settings, by_values(agent))._replace(dream=None)
@@ -210,8 +208,7 @@ def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: DynaHPa
 
     def some(key: Key) -> Metrics:
         played, seen = rollout(
-            env, act, key, params, AT_ONCE, num_steps=steps, record=dyna.record,
-        )  # fmt: skip
+            env, act, key, params, AT_ONCE, num_steps=steps, record=dyna.record)  # fmt: skip
         starts = jax.tree.map(lambda leaf: leaf[:, 0], seen.state)
         plans = jax.vmap(lambda start: planners.solve_maze(env.env, start, params, steps))(starts)
         return {

@@ -49,8 +49,7 @@ LEAN = changed(TUNED, {"preset": "lean", "arms": ("lean",)})
 FEW = {
     "seeds": 2, "episodes": 100, "held_out": 5, "widths": (8, 8, 8), "dense": 128,
     "lean_widths": (32, 32), "paper": Training(300, 0, 32, 3e-3, 0.2, None),
-    "lean": Training(500, 0, 32, 1e-2),
-}  # fmt: skip
+    "lean": Training(500, 0, 32, 1e-2)}  # fmt: skip
 FRAMES = grids.experiment(
     "The Maze: predicting frames",
     {"tuned": TUNED, "lean": LEAN},

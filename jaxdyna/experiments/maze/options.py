@@ -39,17 +39,14 @@ class MazeOptions(Options):
     network: Literal["convolutions", "glimpse", "plain"] = setting(
         "convolutions", "network of the agent, the same in all arms: three convolutions and a "
         "dense layer; what is around the places of a few things, at first one of each colour; or "
-        "the convolutions and the dense layer of the paper's authors", everyday=True,
-    )  # fmt: skip
+        "the convolutions and the dense layer of the paper's authors", everyday=True)  # fmt: skip
     convolutions: tuple[int, int, int] = setting(
         (16, 16, 32), "channels of the network's convolutions: one of 2x2 cells at a stride of 2, "
-        "two of 3x3; of the plain network all of 3x3", at_least=1,
-    )  # fmt: skip
+        "two of 3x3; of the plain network all of 3x3", at_least=1)  # fmt: skip
     dense: int = setting(128, "width of the dense layer after the convolutions", at_least=1)
     model: Literal["local", "paper"] = setting(
         "local", "network of the model: 3x3 convolutions, or Fig. 4, slower and to be trained for "
-        "much longer", everyday=True,
-    )  # fmt: skip
+        "much longer", everyday=True)  # fmt: skip
     model_widths: tuple[int, ...] = setting((32, 32), "channels of the local model's convolutions",
                                             at_least=1)  # fmt: skip
     coder_widths: tuple[int, int, int] = setting(FRAMES.widths, "channels of Fig. 4's convolutions",
@@ -60,8 +57,7 @@ class MazeOptions(Options):
     coder_dense: int = setting(FRAMES.dense, "width of Fig. 4's dense layer", at_least=1)
     coder_decay: float = setting(
         FRAMES.paper.weight_decay, "weight decay of Fig. 4 (Loshchilov and Hutter 2019); 0 is Adam",
-        at_least=0,
-    )  # fmt: skip
+        at_least=0)  # fmt: skip
     model_loss: Literal["bce", "l2", "l1"] = setting("bce", "loss of the model's pixels")
     model_reward: Literal["picture", "classes"] = setting(
         "picture", "how the model predicts the reward: as a sum over the cells of the picture that "
@@ -72,8 +68,7 @@ class MazeOptions(Options):
     )
     reward_weights: tuple[float, float, float] = setting(
         (1.0, 1.0, 1.0), "weights of the three classes, collision, neither and goal, in its loss",
-        at_least=0,
-    )  # fmt: skip
+        at_least=0)  # fmt: skip
     reward_weight: float = setting(
         1.0, "weight of the reward's loss beside the summed one of the pixels", at_least=0
     )
@@ -82,16 +77,14 @@ class MazeOptions(Options):
     )
     judged_on: Literal["own", "common"] = setting(
         "own", "what a model is judged on: each real episode before it is trained on it, or the "
-        "same transitions for all models",
-    )  # fmt: skip
+        "same transitions for all models")  # fmt: skip
     shown_episodes: int = setting(
         10, "real episodes after the first N in which mpc_init is shown what to do", at_least=1
     )
     dyna: DynaConfig = setting(factory=lambda: DynaConfig(
         num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
         model_updates=50, model_batch=32, rare_share=0.25, dream_episodes=400, dream_steps=5,
-        eval_every=10, eval_episodes=20,
-    ))  # fmt: skip
+        eval_every=10, eval_episodes=20))  # fmt: skip
     agent: DQNConfig = setting(factory=lambda: DQNConfig(
         updates=50, fake_updates=400, fake_capacity=64_000, explore_until_rewarded=True,
     ))  # fmt: skip
@@ -118,8 +111,7 @@ class MazeOptions(Options):
                 chosen = getattr(self, name)
                 raise SettingError(
                     "size", f"is {self.size}: --{name} {chosen} needs a larger one, {cells} at "
-                    "least, or choose another",
-                )  # fmt: skip
+                    "least, or choose another")  # fmt: skip
 
     def resolved(self) -> Self:
         """Episodes are so many steps; planners discount as the agent does."""
@@ -130,8 +122,7 @@ class MazeOptions(Options):
             "dyna.dream_steps": min(self.dyna.dream_steps or steps, steps),
             "hparams.env.max_steps": steps, "cloning.capacity": self.shown_episodes * steps,
             "cloning.updates": min(max(updates, 1), LARGEST),
-            "mpc.discount": discount, "mcts.discount": discount,
-        })  # fmt: skip
+            "mpc.discount": discount, "mcts.discount": discount})  # fmt: skip
 
 
 def rule(options: MazeOptions) -> SolveRule:
@@ -144,8 +135,9 @@ LEAN = changed(TUNED, {
     "preset": "lean", "network": "glimpse", "episodes": 150, "stop_after_solved": 50,
     "dyna.num_real_first": 5, "dyna.model_updates": 300, "dyna.dream_updates": 2,
     "agent.updates": 100, "agent.fake_capacity": 8000,
-    "hparams.agent": DQNHParams(epsilon_hold=5.0, epsilon_episodes=2.0),
-})  # fmt: skip
+    "hparams.agent": DQNHParams(epsilon_hold=5.0, epsilon_episodes=2.0)})  # fmt: skip
+#: as literally as the paper can be read; where it is silent its authors' code decides, line by line
+#: in ``docs/paper-method.md``. Widths are what two cores can carry.
 PAPER = changed(TUNED, {
     "preset": "paper", "episodes": 800, "network": "plain", "convolutions": (8, 16, 16),
     "dense": 128, "model": "paper", "coder_widths": (32, 32, 32), "coder_dense": 256,
@@ -162,11 +154,7 @@ PAPER = changed(TUNED, {
         epsilon_episodes=475.0, epsilon_fake=None, fake_share=None, target_rate=0.01,
         priority_exponent=0.0,
     ),
-    "hparams.model.learning_rate": 1e-4,
-})  # fmt: skip
-"""As literally as the paper can be read; where it is silent its authors' code decides, line by line
-in ``docs/paper-method.md``. Widths are what two cores can carry.
-"""
+    "hparams.model.learning_rate": 1e-4})  # fmt: skip
 FEW: Overrides = {"seeds": 2, "size": 6, "obstacles": 1, "steps": 40, "episodes": 80}
 QUICK: dict[str, Overrides] = {
     "tuned": {**FEW, "dyna.num_real_first": 15, "hparams.agent.epsilon_hold": 5.0,
@@ -175,5 +163,4 @@ QUICK: dict[str, Overrides] = {
     "paper": {**FEW, "size": 8, "coder_kernels": (3, 3, 3), "coder_widths": (8, 8, 8),
               "coder_dense": 64, "dyna.num_real_first": 15, "dyna.model_updates": 8,
               "agent.updates": 40, "agent.fake_updates": 40,
-              "hparams.agent.epsilon_episodes": 30.0},
-}  # fmt: skip
+              "hparams.agent.epsilon_episodes": 30.0}}  # fmt: skip

@@ -30,6 +30,7 @@ MEASURE = Measure(
     "one that drifts to the goal.",
     lines=("true environment as the model", "model-free", "model-free, as many updates"),
 )  # fmt: skip
+#: what changes the model alone
 WORSE: dict[str, Overrides] = {
     "model: L2 loss": {"model_loss": "l2"},
     "model: L1 loss": {"model_loss": "l1"},
@@ -40,7 +41,7 @@ WORSE: dict[str, Overrides] = {
     "model: 10 updates an episode": {"dyna.model_updates": 10},
     "model: 3 updates an episode": {"dyna.model_updates": 3},
 }
-"""What changes the model alone."""
+#: what changes how dreams are used and what the agent does with them, with the same model
 LEARNING: dict[str, Overrides] = {
     "N = 2": {"dyna.num_real_first": 2},
     "N = 15": {"dyna.num_real_first": 15},
@@ -57,7 +58,6 @@ LEARNING: dict[str, Overrides] = {
     },
     "dreams of the newest 16 real episodes, not 2": {"agent.fake_capacity": 64000},
 }
-"""What changes how dreams are used and what the agent does with them, with the same model."""
 CONTROLS: dict[str, Overrides] = {
     "untrained model (placebo)": {"arm": "placebo"},
     "true environment as the model": {"arm": "oracle"},
@@ -78,6 +78,7 @@ def levers(options: MazeOptions) -> dict[str, Overrides]:
 
 
 SHORT, MANY = "short dreams from any frames", "more dreams, fewer real updates"
+#: what differs between the presets, by what it is for: each path belongs to one step
 STEPS: dict[str, tuple[str, ...]] = {
     "a model of local convolutions": (
         "model", "coder_dense", "coder_decay", "dyna.model_updates",
@@ -100,11 +101,9 @@ STEPS: dict[str, tuple[str, ...]] = {
         "hparams.agent.epsilon_last", "hparams.agent.epsilon_hold",
         "hparams.agent.epsilon_episodes", "hparams.agent.epsilon_fake",
     ),
-    "a discount of 0.95": ("hparams.agent.discount",),
-}  # fmt: skip
-"""What differs between the presets, by what it is for: each path belongs to one step."""
+    "a discount of 0.95": ("hparams.agent.discount",)}  # fmt: skip
+#: those that a model-free agent does not notice, but for the number of its updates
 DREAMT = [*STEPS][:6]
-"""Those that a model-free agent does not notice, but for the number of its updates."""
 
 
 def taken(options: MazeOptions, steps: Collection[str]) -> Overrides:
@@ -141,8 +140,7 @@ LEVERS = Study(
         "dyna.eval_every": 0,
     },
     describe=(first_dreams, describe(MEASURE)),
-    sections=(rows(COLUMN), accuracy(MEASURE, COLUMN), report.settings, report.spent),
-)  # fmt: skip
+    sections=(rows(COLUMN), accuracy(MEASURE, COLUMN), report.settings, report.spent))  # fmt: skip
 LADDER = Study(
     name="ladder",
     title="From the paper's method to what works in the Maze, step by step",
@@ -153,8 +151,7 @@ LADDER = Study(
         "agent.updates": 80, "agent.fake_updates": 80,  # one a step
         "hparams.agent.epsilon_episodes": 200.0,
     },
-    sections=(rows(), final, report.settings, report.spent),
-)  # fmt: skip
+    sections=(rows(), final, report.settings, report.spent))  # fmt: skip
 BASELINES, DYNA_GRID = both_grids(
     "the Maze", OF, ratios=(0.25, 1, 2.25, 5), between=20_000, counts=(100, 200, 400, 800), kept=160
 )
