@@ -34,8 +34,7 @@ SAID = study.SAID | {
 } | {
     name: f"`dyna_l2` whose dreams show {' and '.join(things)} as the true game has it, which runs "
     "beside; rewards are the model's."
-    for name, things in TRUE_OBJECTS.items()
-}  # fmt: skip
+    for name, things in TRUE_OBJECTS.items()}  # fmt: skip
 
 
 def arms(options: PongOptions) -> dict[str, study.Made]:

@@ -19,33 +19,25 @@ from jaxdyna.envs.pong_screen import middles, picture_of
 from jaxdyna.experiments.pong.world import NUM_FRAMES, OBJECTS
 from jaxdyna.types import Key, Transition
 
+#: pixels off which a player lets the ball be before it moves: a step moves a paddle by more
 NEAR = 10
-"""Pixels off which a player lets the ball be before it moves: a step moves a paddle by more."""
 FARTHEST_AIM = 9
-FIRES = np.array([1, 1, 4, 5, 4, 5])
-"""Each action with the button pressed."""
+FIRES = np.array([1, 1, 4, 5, 4, 5])  #: each action with the button pressed
 BITS = np.arange(3, dtype=np.uint8)
 COPIES = 32  # of the real game, side by side
 
 
 class Source(NamedTuple):
-    """A game whose frames are learned, and what is kept of a moment of it.
+    """A game whose frames are learned, and what is kept of a moment of it."""
 
-    Attributes:
-        env: the game.
-        params: its params.
-        palette: the colours in which its frames are seen.
-        keep: ``(frame, state) -> moment``.
-        rows: from a moment to the rows, in the game's pixels, of the ball's middle and of the own
-            paddle's, and whether there is a ball.
-        objects: to what is there, bool ``[H, W, 3]``: opponent, own paddle and ball.
-    """
-
-    env: Any
-    params: Any
-    palette: Palette
-    keep: Callable[[jax.Array, Any], Any]
+    env: Any  #: the game
+    params: Any  #: its params
+    palette: Palette  #: the colours in which its frames are seen
+    keep: Callable[[jax.Array, Any], Any]  #: ``(frame, state) -> moment``
+    #: from a moment to the rows, in the game's pixels, of the ball's middle and of the own
+    #: paddle's, and whether there is a ball
     rows: Callable[[Any], tuple[jax.Array, jax.Array, jax.Array]]
+    #: to what is there, bool ``[H, W, 3]``: opponent, own paddle and ball
     objects: Callable[[Any], jax.Array]
 
 
@@ -84,17 +76,11 @@ def screens(game: AtariPong, steps: int) -> Source:
 
 
 class Played(NamedTuple):
-    """Whole episodes of equal length.
+    """Whole episodes of equal length."""
 
-    Attributes:
-        world: moments, leaves ``[N, T + 1, ...]``.
-        action: int32 ``[N, T]``.
-        reward: ``[N, T]``.
-    """
-
-    world: Any
-    action: jax.Array
-    reward: jax.Array
+    world: Any  #: moments, leaves ``[N, T + 1, ...]``
+    action: jax.Array  #: int32 ``[N, T]``
+    reward: jax.Array  #: ``[N, T]``
 
 
 def choose(
@@ -165,5 +151,4 @@ def take(source: Source, played: Played, episode: jax.Array, time: jax.Array) ->
     return Transition(
         obs=stacks[..., :-3], action=played.action[episode, time],
         reward=played.reward[episode, time], next_obs=stacks[..., 3:], terminated=no,
-        truncated=time == played.action.shape[1] - 1, mask=~no,
-    )  # fmt: skip
+        truncated=time == played.action.shape[1] - 1, mask=~no)  # fmt: skip

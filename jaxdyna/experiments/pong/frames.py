@@ -47,24 +47,21 @@ class PongFrames(world.GameOptions, FrameOptions):
 
     decided: ClassVar = FrameOptions.decided | {
         f"{model}.{name}": "the experiment, whose models predict frames alone"
-        for model in ("paper", "ours") for name in ("rare_share", "reward_weight")
-    }  # fmt: skip
+        for model in ("paper", "ours") for name in ("rare_share", "reward_weight")}  # fmt: skip
     dream_from: ClassVar = 10
 
     arms: tuple[str, ...] = setting(tuple(SAID), "the models that are trained", everyday=True)
     episodes: int = setting(1000, "of each policy, to learn from", at_least=1, everyday=True)
     policies: tuple[Policy, ...] = setting(
         ("random", "mixed"), "whose episodes: random: every action at random; mixed: players of "
-        "all strengths, from random ones to one that follows the ball", everyday=True,
-    )  # fmt: skip
+        "all strengths, from random ones to one that follows the ball", everyday=True)  # fmt: skip
     steps: int = setting(
         200, "steps of an episode; 21 points take longer", at_least=1, at_most=700, everyday=True
     )
     dreams: int = setting(8, "dreams in each held-out episode", at_least=1, at_most=1000)
     keep: bool = setting(
         False, "whether models predict rewards as well, and are kept in curves.npz, for learning "
-        "to play in them (--models)",
-    )  # fmt: skip
+        "to play in them (--models)")  # fmt: skip
     paper: Training = setting(factory=lambda: Training(6000, 0, 32, 4e-3, 0.0, None),
                               help="training of Fig. 4")  # fmt: skip
     ours: Training = setting(factory=lambda: Training(6000, 0, 256, 2e-3, 0.1, None),
@@ -115,13 +112,11 @@ def asked(options: PongFrames, arm: str) -> tuple[DynamicsModel, Asked]:
 
         return model, Asked(
             believe, rules, 0.5, options.keep,
-            picture=lambda *args: mixture_of(believe(*args), palette) / 255,
-        )  # fmt: skip
+            picture=lambda *args: mixture_of(believe(*args), palette) / 255)  # fmt: skip
     frame = models.frame_probability(actions, config)
     return model, Asked(
         lambda *args: shares_of(255 * frame(*args), palette), rules, config.threshold, options.keep,
-        picture=frame,
-    )  # fmt: skip
+        picture=frame)  # fmt: skip
 
 
 @cache
@@ -172,8 +167,7 @@ def world_of(options: PongFrames) -> World:
         options.horizon, tuple(OBJECTS.values()), lambda data: _example(options, truth, data),
         shares=lambda frames: shares_of(frames, palette),
         apart=lambda truth: unserved(truth[..., OBJECTS["ball"]]),
-        film=_longest_flight, collect=gather if real else None,
-    )  # fmt: skip
+        film=_longest_flight, collect=gather if real else None)  # fmt: skip
 
 
 def unserved(ball: jax.Array) -> jax.Array:
@@ -238,8 +232,7 @@ REPORT = FrameReport(
     about=about, said=SAID, stage="policy", classes=tuple(OBJECTS), scores=("recall", "precision"),
     kinds=("point lost", "point won", "neither"),
     prefer=lambda options, stages: "mixed" if "mixed" in stages else stages[0],
-    filmed=("ours", "adversarial", "l2"), seen=seen,
-)  # fmt: skip
+    filmed=("ours", "adversarial", "l2"), seen=seen)  # fmt: skip
 
 
 def blur(record: Record) -> str:
@@ -249,8 +242,7 @@ def blur(record: Record) -> str:
         REPORT.grid(record, "fig9.png" if policy == main else f"fig9_{policy}.png",
                     by_policy[policy],
                     f"Fig. 9 after the {policy} policy: input, truth, belief and error of a step")
-        for policy in sorted(by_policy, key=lambda policy: policy != main)
-    ]  # fmt: skip
+        for policy in sorted(by_policy, key=lambda policy: policy != main)]  # fmt: skip
     return report.paragraphs(
         "## Blur",
         "Believed: how sure the model is of a pixel that shows the object, 1 at best. Spilled: "
@@ -288,5 +280,4 @@ FRAMES = Experiment(
     presets={"tuned": TUNED, "lean": LEAN}, quick=dict.fromkeys(("tuned", "lean"), QUICK),
     describe=(REPORT.describe,),
     sections=(REPORT.opening, REPORT.training, blur, REPORT.dreams, before_serves, rewards,
-              report.arms_said(SAID), report.settings, report.spent),
-)  # fmt: skip
+              report.arms_said(SAID), report.settings, report.spent))  # fmt: skip

@@ -29,17 +29,13 @@ class GuidedParams(ReplayedParams):
 
 @dataclass(frozen=True)
 class Guided(Replayed):
-    """A dream from any real stack of frames with the true game beside it.
+    """A dream from any real stack of frames with the true game beside it."""
 
-    Attributes:
-        predict: a model's ``predict``.
-        truth: channels of each frame, seen an object a channel, that are the true game's.
-        palette: the colours in which it is seen. Where they are the game's own, a predicted pixel
-            is taken for a mixture of the background and one object (`shares_of`).
-    """
-
-    predict: Predict | None = None
+    predict: Predict | None = None  #: a model's ``predict``
+    #: channels of each frame, seen an object a channel, that are the true game's
     truth: tuple[int, ...] = ()
+    #: the colours in which it is seen. Where they are the game's own, a predicted pixel is taken
+    #: for a mixture of the background and one object (`shares_of`).
     palette: Palette = CHANNELS
 
     def step(self, key: Key, state: StackState, action: jax.Array, params: Any) -> Any:

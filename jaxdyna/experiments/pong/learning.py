@@ -22,8 +22,8 @@ MEASURES = {
     "lost": "points lost an episode",
     "wrong_frames": "share of new frames predicted wrong",
 }
+#: mean score of a game after 100,000 of the agent's steps, in the repositories' own files
 ANCHORS = {"SimPLe": 12.8, "IRIS": 14.6, "DIAMOND": 20.4, "DreamerV3": -5.0}
-"""Mean score of a game after 100,000 of the agent's steps, in the repositories' own files."""
 WHOLE_GAMES = (
     f"Greedy, {GAMES} games to 21 points a run: points won less points lost, mean over runs and "
     "95% interval; a game of half an hour is broken off, at its score. The literature's figures, "
@@ -50,8 +50,7 @@ def about(record: Any) -> str:
     given = (
         f" Dreams are in the models of {options.models}, which were trained before, on episodes "
         "that do not count, and learn nothing more; intervals are over agents, given these models."
-        if options.models else ""
-    )  # fmt: skip
+        if options.models else "")  # fmt: skip
     return (
         f"An episode is {options.steps} steps of {world.FRAME_SKIP} frames of "
         f"{world.GAMES_SAID[options.game]}, its return the points won less those lost, so that 0 "

@@ -42,31 +42,26 @@ class PongOptions(GameOptions):
     network: Literal["convolutions", "plain"] = setting(
         "convolutions", "of the agent where --frames is rgb: three convolutions and a normalised "
         "dense layer; or the convolutions and the dense layer of the paper's authors, on patches",
-        everyday=True,
-    )  # fmt: skip
+        everyday=True)  # fmt: skip
     convolutions: tuple[int, int, int] = setting((16, 16, 32), "channels of its convolutions",
                                                  at_least=1)  # fmt: skip
     agent_dense: int = setting(128, "width of its dense layer", at_least=1)
     models: Path | None = setting(
         None, "folder of a record of --part frames --keep: dreams are in its models, which learn "
-        "nothing more; None: models learn from the run's own episodes", everyday=True,
-    )  # fmt: skip
+        "nothing more; None: models learn from the run's own episodes", everyday=True)  # fmt: skip
     models_made: str | None = setting(None, "which models those are: a checksum")
     weight_decay: float = setting(0.3, "of AdamW, for our model", at_least=0)
     paper_rate: float = setting(4e-3, "Adam's in the paper's models and the discriminator", above=0)
     dyna: DynaConfig = setting(factory=lambda: DynaConfig(
         num_episodes=LARGEST, num_steps=1,  # until they are decided, in nobody's way
         num_real_first=20, model_updates=100, model_batch=64, rare_share=0.25, dream_episodes=200,
-        dream_steps=20,
-    ))  # fmt: skip
+        dream_steps=20))  # fmt: skip
     agent: DQNConfig = setting(factory=lambda: DQNConfig(
-        updates=100, fake_updates=400, n_step=3, fake_capacity=40_000,
-    ))  # fmt: skip
+        updates=100, fake_updates=400, n_step=3, fake_capacity=40_000))  # fmt: skip
     hparams: DynaHParams = setting(factory=lambda: DynaHParams(
         DQNHParams(discount=0.97, epsilon_hold=20.0, epsilon_episodes=30.0, epsilon_last=0.02,
                    epsilon_fake=0.1),
-        PixelHParams(2e-3), RULES,
-    ))  # fmt: skip
+        PixelHParams(2e-3), RULES))  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -88,8 +83,7 @@ class PongOptions(GameOptions):
             "models_made": checksum(self.models),
             "dyna.num_episodes": self.episodes, "dyna.num_steps": self.steps,
             "dyna.dream_steps": min(self.dyna.dream_steps or self.steps, self.steps),
-            "hparams.env.max_steps": self.steps,
-        })  # fmt: skip
+            "hparams.env.max_steps": self.steps})  # fmt: skip
 
 
 TUNED = PongOptions(arms=MAIN_ARMS, episodes=200, stop_after_solved=20, dropout=0.2)
@@ -97,6 +91,8 @@ SOONER = {"hparams.agent.epsilon_hold": 5.0, "hparams.agent.epsilon_episodes": 1
 LEAN = changed(
     TUNED, SOONER | {"preset": "lean", "arms": ("model_free", "dyna"), "dyna.num_real_first": 5}
 )
+#: as literally as the paper can be read, line by line in ``docs/paper-method.md``; models are
+#: trained beforehand, see ``models``
 PAPER = changed(TUNED, {
     "preset": "paper", "arms": ("model_free", "more_updates", *MAIN_ARMS[1:]), "frames": "rgb",
     "network": "plain", "convolutions": (8, 16, 16), "stop_after_solved": None,
@@ -111,14 +107,10 @@ PAPER = changed(TUNED, {
         epsilon_episodes=100.0, epsilon_fake=None, target_rate=0.01, priority_exponent=0.0,
     ),
 })  # fmt: skip
-"""As literally as the paper can be read, line by line in ``docs/paper-method.md``; models are
-trained beforehand, see ``models``.
-"""
 FEW: Overrides = {
     "seeds": 2, "episodes": 24, "steps": 100, "widths": (8, 8, 8), "dense": 64, "hidden": (64, 64),
     "dyna.num_real_first": 8, "agent.updates": 30, "agent.fake_updates": 30,
-    "agent.fake_capacity": 5_000, "hparams.agent.epsilon_episodes": 10.0,
-}  # fmt: skip
+    "agent.fake_capacity": 5_000, "hparams.agent.epsilon_episodes": 10.0}  # fmt: skip
 OURS: Overrides = {**FEW, "hparams.agent.epsilon_hold": 5.0, "dyna.model_updates": 30,
                    "dyna.model_batch": 32, "dyna.dream_episodes": 25}  # fmt: skip
 QUICK: dict[str, Overrides] = {

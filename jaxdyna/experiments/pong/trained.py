@@ -17,10 +17,9 @@ from jaxdyna.models import AdversarialHParams
 from jaxdyna.types import DynamicsModel
 
 KEPT = "weights_"
-POLICY = "mixed"
-"""Whose episodes they have learned from."""
+POLICY = "mixed"  #: whose episodes they have learned from
+#: settings that a model has in common with whoever dreams in it
 SAME = ("game", "frames", "scale", "widths", "dense", "hidden")
-"""Settings that a model has in common with whoever dreams in it."""
 
 
 @cache
@@ -39,30 +38,21 @@ def kept(work: Work) -> Work:
 class Given:
     """The weights of a model of a record, for any runs: where it has fewer of them, a run gets that
     of its seed modulo how many there are. Equal ones are one program.
-
-    Attributes:
-        folder: the record's.
-        made: its `checksum`.
-        name: of the model there, such as ``l2``.
-        model: as it dreams.
-        same: what `SAME` are in whoever dreams in it.
     """
 
-    folder: Path
-    made: str | None
-    name: str
-    model: DynamicsModel
-    same: tuple[Any, ...]
+    folder: Path  #: the record's
+    made: str | None  #: its `checksum`
+    name: str  #: of the model there, such as ``l2``
+    model: DynamicsModel  #: as it dreams
+    same: tuple[Any, ...]  #: what `SAME` are in whoever dreams in it
 
     def __call__(self, runs: Runs) -> Any:
         """``params [runs, ...]``."""
         return jax.tree.map(lambda array: array[runs.seed % len(array)], self.check())
 
     def check(self) -> Any:
-        """``params [models, ...]``.
-
-        Raises:
-            InputError: where there is none, of the same game and sizes, with finite weights.
+        """``params [models, ...]``; `InputError` where there is none of the same game and sizes
+        with finite weights.
         """
         again = (
             f"train it by --part frames --keep --policies {POLICY} --arms {self.name} with the "

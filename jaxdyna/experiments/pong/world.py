@@ -17,21 +17,17 @@ from jaxdyna.networks import Discriminator, EncoderDecoder, Patched, Resolution
 from jaxdyna.optimizers import decayed_adam
 from jaxdyna.types import DynamicsModel, Key, Prediction, Transition
 
-PALETTES = {"objects": CHANNELS, "rgb": Palette()}
-"""The colours of each kind of frame."""
-OBJECTS = {"ball": 2, "own paddle": 1, "opponent": 0}
-"""Their channels in `CHANNELS`."""
+PALETTES = {"objects": CHANNELS, "rgb": Palette()}  #: the colours of each kind of frame
+OBJECTS = {"ball": 2, "own paddle": 1, "opponent": 0}  #: their channels in `CHANNELS`
 NUM_FRAMES = 4
-FRAME_SKIP = 4
-"""The game's frames in a step."""
+FRAME_SKIP = 4  #: the game's frames in a step
+#: of the pure game's frames: the real one's 63 are more than four stacked frames can count, and
+#: with no more than `FRAME_SKIP` a serve can look like a ball that jumps
 SERVE_DELAY = 5
-"""Of the pure game's frames: the real one's 63 are more than four stacked frames can count, and
-with no more than `FRAME_SKIP` a serve can look like a ball that jumps.
-"""
+#: the pure game's, where nothing else is said. Nobody wins: an episode is so many steps.
 RULES = PongParams(points_to_win=1_000_000, first_serve_delay=SERVE_DELAY, serve_delay=SERVE_DELAY)
-"""The pure game's, where nothing else is said. Nobody wins: an episode is so many steps."""
+#: pixels a side of the patches that Fig. 4 works on, and patches a side of its convolutions
 PATCH, KERNELS = 4, (4, 3, 3)
-"""Pixels a side of the patches that Fig. 4 works on, and patches a side of its convolutions."""
 GAMES_SAID = {"jax": "the pure game", "ale": "the Atari 2600 game (ALE/Pong-v5, no sticky actions)"}
 FRAMES_SAID = {"objects": "each object in a channel of its own", "rgb": "in the game's colours"}
 COLOURS_SAID = "Red is the opponent, green the own paddle, blue the ball."
