@@ -19,25 +19,18 @@ from jaxdyna.statistics import share_of_sums
 from jaxdyna.types import Environment, Key
 
 REPEATS, TIMED_SECONDS = 5, 0.3
+#: ``(learned, obs, state, key) -> action`` from what one run has learned, what is seen, and the
+#: true state, which only planners in the true environment may look at
 Act = Callable[[Any, jax.Array, Any, Key], jax.Array]
-"""``(learned, obs, state, key) -> action`` from what one run has learned, what is seen, and the
-true state, which only planners in the true environment may look at."""
 
 
 class Contender(NamedTuple):
-    """Who decides.
+    """Who decides."""
 
-    Attributes:
-        who: its kind: a policy, a planner.
-        world: what it plans in, "-" where nothing is planned.
-        steps: steps of that world a decision.
-        act: how it decides.
-    """
-
-    who: str
-    world: str
-    steps: int
-    act: Act
+    who: str  #: its kind: a policy, a planner
+    world: str  #: what it plans in, "-" where nothing is planned
+    steps: int  #: steps of that world a decision
+    act: Act  #: how it decides
 
     @property
     def label(self) -> str:
@@ -46,29 +39,18 @@ class Contender(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """Where they play.
+    """Where they play."""
 
-    Attributes:
-        name: of the environment.
-        env: the real environment.
-        params: its parameters.
-        learned: what runs have learned, ``[runs, ...]``.
-        num_steps: of an episode.
-        best: ``(state, params) -> return``: the most that could be had from a start.
-        key: random key of the episodes.
-        episodes: how many with what each run has learned.
-        batch: environments that are decided for at once in the second timing.
-    """
-
-    name: str
-    env: Environment
-    params: Any
-    learned: Any
-    num_steps: int
+    name: str  #: of the environment
+    env: Environment  #: the real environment
+    params: Any  #: its parameters
+    learned: Any  #: what runs have learned, ``[runs, ...]``
+    num_steps: int  #: of an episode
+    #: ``(state, params) -> return``: the most that could be had from a start
     best: Callable[[Any, Any], jax.Array]
-    key: Key
-    episodes: int
-    batch: int
+    key: Key  #: random key of the episodes
+    episodes: int  #: how many with what each run has learned
+    batch: int  #: environments that are decided for at once in the second timing
 
 
 def measure(
@@ -88,8 +70,7 @@ def measure(
             "steps": steps, "returns": returns.tolist(),
             **_share("share", returns, best), **_share("gain", returns - first, best),
             "ms": milliseconds(ground, act, 1), "batch": ground.batch,
-            "ms_in_batch": milliseconds(ground, act, ground.batch) / ground.batch,
-        }  # fmt: skip
+            "ms_in_batch": milliseconds(ground, act, ground.batch) / ground.batch}  # fmt: skip
         said = f"{contender.label}, {steps} steps: share {row['share']:.3f}, {row['ms']:.3g} ms"
         say(f"{ground.name}: {said}")
         rows.append(row)
@@ -110,8 +91,7 @@ def best_returns(ground: Ground) -> np.ndarray:
         """The first states of episodes that are played by the same key."""
         _, states = rollout(
             ground.env, lambda obs, key: jnp.int32(0), key, ground.params, ground.episodes,
-            num_steps=1, record=lambda state, after, info: state,
-        )  # fmt: skip
+            num_steps=1, record=lambda state, after, info: state)  # fmt: skip
         return jax.vmap(lambda start: ground.best(start, ground.params))(
             jax.tree.map(lambda leaf: leaf[:, 0], states)
         )
@@ -130,8 +110,7 @@ def play(ground: Ground, act: Act) -> np.ndarray:
 
         played = rollout(
             ground.env, decide, key, ground.params, ground.episodes,
-            num_steps=ground.num_steps, sees_state=True,
-        )  # fmt: skip
+            num_steps=ground.num_steps, sees_state=True)  # fmt: skip
         return played.reward.sum(-1)
 
     runs = jax.jit(lambda learned, keys: jax.lax.map(whole, (learned, keys)))

@@ -14,8 +14,8 @@ from jaxdyna.experiments.report.sections import paragraphs
 from jaxdyna.experiments.report.tables import Results, Table, markdown_table, with_interval
 from jaxdyna.statistics import mean_of_runs
 
+#: real episodes whose return is compared: after every imitation, and every run plays them
 LATER = slice(50, 100)
-"""Real episodes whose return is compared: after every imitation, and every run plays them."""
 FIRST = "dyna"
 SAID = (
     "Return: mean of the real episodes 51 to 100, which every run plays and which come after all "
@@ -60,8 +60,7 @@ def table(arms: Results) -> Table:
     rows = [
         [name, _mean(values), less(later, name), _mean(lost[name]) if name in lost else "-",
          less(lost, name)]
-        for name, values in later.items()
-    ]  # fmt: skip
+        for name, values in later.items()]  # fmt: skip
     return ["arm", "return", f"less `{FIRST}`'s", "lost by poorer models",
             f"more than `{FIRST}` loses"], rows  # fmt: skip
 

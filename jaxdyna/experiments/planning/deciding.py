@@ -18,8 +18,7 @@ from jaxdyna.fields import changed, setting
 from jaxdyna.planners import require_mctx
 
 GROUNDS = {"cartpole": cartpole_ground, "maze": maze_ground}
-GROUND_KEY = 2**32 - 2
-"""Folded into the base seed's key: the runs' own keys are its first splits."""
+GROUND_KEY = 2**32 - 2  #: folded into the base seed's key: the runs' own keys are its first splits
 IMITATE = ("dyna", "mpc_init", "mpc_init_dyna", "mpc_clone")
 ROWS: dict[str, Overrides] = {
     **{name: {"arm": name} for name in IMITATE},
@@ -36,8 +35,7 @@ class PlanningOptions(CartPoleOptions):
 
     grounds: tuple[str, ...] = setting(
         tuple(GROUNDS), "where decisions are timed and played", choices=tuple(GROUNDS),
-        everyday=True,
-    )  # fmt: skip
+        everyday=True)  # fmt: skip
     sizes: Sizes = setting(factory=Sizes)
 
 
@@ -64,8 +62,7 @@ LEAST = {
     "seeds": 2, "episodes": 110, "arms": ("dyna", "mpc_init", "mpc"),
     "sizes.runs": (1, 1), "sizes.cartpole_episodes": 15, "sizes.maze_episodes": (20,),
     "sizes.played": (4, 4), "sizes.candidates": (32,), "sizes.simulations": (8,),
-    "sizes.board": (6, 1, 40),
-}  # fmt: skip
+    "sizes.board": (6, 1, 40)}  # fmt: skip
 BASE = changed(
     PlanningOptions(**{item.name: getattr(LEAN, item.name) for item in fields(LEAN)}),
     {"seeds": 12, "episodes": 180, "stop_after_solved": 0, "dyna.eval_every": 0},

@@ -20,9 +20,9 @@ from jaxdyna.planners import ShootingConfig, muzero, random_shooting, solve_maze
 from jaxdyna.sweep import over_runs
 from jaxdyna.types import Key
 
+#: steps that shooting without a value looks ahead in the Maze, as a multiple of the way to the
+#: goal: a sequence with a drift towards the goal makes detours
 FAR = 1.5
-"""Steps that shooting without a value looks ahead in the Maze, as a multiple of the way to the
-goal: a sequence with a drift towards the goal makes detours."""
 Grounds = Iterator[tuple[Ground, Iterator[Contender]]]
 
 
@@ -39,8 +39,7 @@ class Sizes:
     )
     played: tuple[int, int] = setting(
         (3, 5), "episodes that a contender plays with what each run has learned, by environment",
-        at_least=1,
-    )  # fmt: skip
+        at_least=1)  # fmt: skip
     candidates: tuple[int, ...] = setting((8, 32), "sequences of random shooting", at_least=1)
     simulations: tuple[int, ...] = setting((4, 16), "nodes of tree search", at_least=1)
     far_candidates: tuple[int, ...] = setting(
@@ -105,8 +104,7 @@ def maze_ground(key: Key, sizes: Sizes) -> Grounds:
         state = learned(arm, jax.random.clone(key_learn), sizes.runs[1], episodes)
         ground = Ground(
             f"Maze {size}x{size} after {episodes} episodes", dyna.env, options.hparams.env, state,
-            steps, best, jax.random.clone(key_play), sizes.played[1], sizes.batch,
-        )  # fmt: skip
+            steps, best, jax.random.clone(key_play), sizes.played[1], sizes.batch)  # fmt: skip
         yield ground, maze_contenders(dyna, options, sizes)
 
 

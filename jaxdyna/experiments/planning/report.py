@@ -81,8 +81,7 @@ def figure(path: Path, places: dict[str, list[Results]]) -> None:
                 markersize=13 if who == "policy" else 5,
                 markerfacecolor="white" if true else colour,
                 linestyle=plots.DASHED if true else "-",
-                linewidth=1.5, elinewidth=0.8, color=colour, label=label,
-            )  # fmt: skip
+                linewidth=1.5, elinewidth=0.8, color=colour, label=label)  # fmt: skip
         panel.set_xscale("log")
         panel.axhline(1, color=plots.FAINT, linewidth=0.8, linestyle=plots.DOTTED)
         plots.finish(panel, name, "ms a decision", legend=False)
