@@ -20,13 +20,13 @@ from jaxdyna.experiments.engine.memory import held
 from jaxdyna.experiments.engine.session import prepared
 
 IMPORTS = {OURS: "import jaxdyna", "jax, flax and optax": "import jax, flax, optax"}
+#: a run of which starting takes the most
 SHORT = ("--seeds", 2, "--episodes", 20, "--dyna.num-real-first", 10)
-"""A run of which starting takes the most."""
+#: runs of ``dyna`` whose memory is looked at
 SMALL = {
     "CartPole": ("--seeds", "10", "--episodes", "20", "--dyna.num-real-first", "10"),
     **dict.fromkeys(WORLDS, ("--seeds", "2", "--episodes", "2", "--dyna.num-real-first", "1")),
 }
-"""Runs of ``dyna`` whose memory is looked at."""
 
 
 def sweeps(options: Any) -> Iterable[Results]:

@@ -18,19 +18,17 @@ from jaxdyna.experiments.benchmark.timing import PYTORCH, Work
 from jaxdyna.experiments.engine import Curves, InputError, Results, programs, storage
 
 PACKAGE = "jaxdyna.experiments"
+#: a cache of programs that is not ours: with it no start is cold
 OTHERS = ("JAX_COMPILATION_CACHE_DIR",)
-"""A cache of programs that is not ours: with it no start is cold."""
-EXAMPLES = storage.PACKAGE.parent / "docs" / "examples"
-"""Where the rivals are, in a checkout."""
+EXAMPLES = storage.PACKAGE.parent / "docs" / "examples"  #: where the rivals are, in a checkout
+#: a small process that starts the one that is measured: on Linux a new process's peak of memory is
+#: at least that of the one that started it
 BETWEEN = """import json, resource, subprocess, sys, time
 began = time.perf_counter()
 ran = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 used = resource.getrusage(resource.RUSAGE_CHILDREN)
 unit = 1 if sys.platform == "darwin" else 1024
 print(json.dumps([time.perf_counter() - began, used.ru_maxrss * unit, ran.returncode, ran.stderr]))
-"""
-"""A small process that starts the one that is measured: on Linux a new process's peak of memory is
-at least that of the one that started it.
 """
 
 
@@ -69,9 +67,7 @@ class Ran(NamedTuple):
 
 def command(*argv: Any, cache: Path | None = None) -> Ran:
     """Runs Python with these arguments, compiled programs in a folder of their own if anywhere.
-
-    Raises:
-        InputError: where it fails, with the last line of what it says.
+    `InputError` where it fails, with the last line of what it says.
     """
     words = [sys.executable, "-c", BETWEEN, sys.executable, *map(str, argv)]
     kept = {name: value for name, value in os.environ.items() if name not in OTHERS}

@@ -24,10 +24,8 @@ SAID = {
     "sweeps": "CartPole's `dyna` by `tuned`, compiled anew, dreaming from the middle; once each.",
     "start": "Each in a process of its own. The result is that of a short run of CartPole's two "
     "arms, with a cache of programs that is empty, then full, once each.",
-    "memory": "The peak of a process, beside the state of all its runs; once each.",
-}  # fmt: skip
-BESIDE = ("whole", "steps", "dreams", "frames")
-"""What others are beside."""
+    "memory": "The peak of a process, beside the state of all its runs; once each."}  # fmt: skip
+BESIDE = ("whole", "steps", "dreams", "frames")  #: what others are beside
 LACKING = (
     "PyTorch is missing: `pip install 'jaxdyna[bench]'`, in a checkout, where `docs/examples` is."
 )
@@ -46,8 +44,7 @@ def section(record: Record, name: str) -> str:
         [row["what"], told(row["ours"], row["unit"]), row["whose"],
          told(row["theirs"], row["unit"]), ratio(row),
          *([f"{row['share']:.0%}"] if shared else [])]
-        for row in rows
-    ]  # fmt: skip
+        for row in rows]  # fmt: skip
     lacks = any(row["whose"].startswith(PYTORCH) and row["theirs"] is None for row in rows)
     said = ", ".join(f"{rate:,.0f} ({product})" for product, rate in rates)
     return paragraphs(

@@ -20,14 +20,10 @@ from jaxdyna.experiments.engine import InputError, Results
 from jaxdyna.trees import where
 from jaxdyna.types import Environment, Key
 
-STEPS = 16
-"""Of a turn. Pushed so for so long, no pole falls."""
-EPISODE = 200
-"""Of one Maze in NumPy, of which a reset takes as long as ten."""
-EPISODES = 16
-"""Of each environment in one call of ours, so that a call is long."""
-SHORTEST = 8
-"""Steps, of all CartPole's episodes."""
+STEPS = 16  #: of a turn. Pushed so for so long, no pole falls.
+EPISODE = 200  #: of one Maze in NumPy, of which a reset takes as long as ten
+EPISODES = 16  #: of each environment in one call of ours, so that a call is long
+SHORTEST = 8  #: steps, of all CartPole's episodes
 PUSHES = np.resize([0, 1, 1, 0], STEPS)
 
 

@@ -13,13 +13,11 @@ import numpy as np
 from jaxdyna.experiments.engine import Results
 
 OURS, PYTORCH = "jaxdyna", "PyTorch"
-LEAST_S = 0.1
-"""Of a turn."""
+LEAST_S = 0.1  #: of a turn
 UNITS = {"s": 1.0, "ms": 1e3, "GiB": 2.0**-30}
+#: the yardstick: by its name how many products of how many rows and columns
 PRODUCTS = {"one of 2048x2048": (1, 2048, 2048), "ten of 64x256 and 256x256": (10, 64, 256)}
-"""The yardstick: by its name how many products of how many rows and columns."""
-Work = Callable[[], float]
-"""Returns how many units it was, once all of their results are there."""
+Work = Callable[[], float]  #: returns how many units it was, once all of their results are there
 
 
 def in_turns(

@@ -14,12 +14,10 @@ from jaxdyna.experiments.engine import Curves, Results, storage
 
 REAL, MODEL, FAKE, TOGETHER = (
     "real step with its share of a policy update", "model update",
-    "fake step with its share, one at a time", "fake step with its share, 8 at a time",
-)  # fmt: skip
-WARM_UP = 60
-"""Real episodes of PyTorch's run before its pieces are timed."""
+    "fake step with its share, one at a time", "fake step with its share, 8 at a time")  # fmt: skip
+WARM_UP = 60  #: real episodes of PyTorch's run before its pieces are timed
+#: how often the smallest number of runs is played; larger ones as often in all, at least once
 COLD = 3
-"""How often the smallest number of runs is played; larger ones as often in all, at least once."""
 SIDES = {"PyTorch, as written": FAKE, "PyTorch, batched dreams": TOGETHER}
 
 
@@ -78,8 +76,7 @@ def pieces(torch: Any, options: Any) -> Mapping[str, Work]:
     together.starts, together.model = one.starts, one.model
     return {
         REAL: balanced(torch.torch, steady).real_episode, MODEL: in_units(one.train_model, 1.0),
-        FAKE: one.learn_from_dreams, TOGETHER: together.learn_from_dreams,
-    }  # fmt: skip
+        FAKE: one.learn_from_dreams, TOGETHER: together.learn_from_dreams}  # fmt: skip
 
 
 def balanced(torch: Any, run: Any) -> Any:
