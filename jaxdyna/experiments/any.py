@@ -27,8 +27,7 @@ from jaxdyna.fields import changed, setting
 from jaxdyna.statistics import SolveRule
 
 PROG = "python -m jaxdyna.experiments.any"
-SMALL = 32
-"""Cells a side up to which a frame is taken for a board."""
+SMALL = 32  #: cells a side up to which a frame is taken for a board
 
 
 @dataclass(frozen=True)
@@ -46,16 +45,14 @@ class AnyOptions(engine.Options):
 
     decided: ClassVar = {
         "env": "the world", "learner": "--agent", "dyna.num_episodes": "--episodes",
-        "dyna.num_steps": "--hparams.env.max-steps",
-    }  # fmt: skip
+        "dyna.num_steps": "--hparams.env.max-steps"}  # fmt: skip
 
     env: str = setting(help="the world")
     learner: str = setting(help="who acts")
     frames: int = setting(1, "observations that are seen at a time, the newest last", at_least=1)
     solve_at: float | None = setting(
         None, "mean return of 100 episodes at which a run has solved; None: Gymnasium's own "
-        "reward_threshold, if any", everyday=True,
-    )  # fmt: skip
+        "reward_threshold, if any", everyday=True)  # fmt: skip
     dyna: DynaConfig = setting()
     agent: Any = setting()
     model: Any = setting()
@@ -76,10 +73,8 @@ class AnyOptions(engine.Options):
 
 
 def defaults(said: str, learner: str) -> AnyOptions:
-    """The settings for a world, by its spaces; whatever carries over is of ``lean``.
-
-    Raises:
-        ValueError: where there is no such world, or the agent cannot see it.
+    """The settings for a world, by its spaces; whatever carries over is of ``lean``. `ValueError`
+    where there is no such world, or the agent cannot see it.
     """
     env = named(said)
     params = env.default_params
@@ -88,12 +83,10 @@ def defaults(said: str, learner: str) -> AnyOptions:
     dyna = DynaConfig(
         num_steps=params.max_steps, num_real_first=5, model_updates=300, model_batch=64,
         rare_share=0.25, dream_updates=2, dream_episodes=200, dream_steps=5, eval_every=20,
-        eval_episodes=20,
-    )  # fmt: skip
+        eval_episodes=20)  # fmt: skip
     options = partial(
         AnyOptions, preset="lean", arms=("model_free", "dyna"), episodes=300, env=said,
-        learner=learner, stop_after_solved=0,
-    )  # fmt: skip
+        learner=learner, stop_after_solved=0)  # fmt: skip
     if pictures:
         if learner != "dqn":
             raise ValueError(f"--agent {learner} sees vectors, {said} frames: give --agent dqn")
@@ -108,8 +101,7 @@ def defaults(said: str, learner: str) -> AnyOptions:
         )  # fmt: skip
     model = models.SupervisedConfig(
         hidden=(64, 64), sum_loss=False, delta=True, normalise=True, scale_reward=True,
-        one_hot=True, ensemble=5, one_member=True, optimizer=optax.adam,
-    )  # fmt: skip
+        one_hot=True, ensemble=5, one_member=True, optimizer=optax.adam)  # fmt: skip
     dream = models.DreamHParams(uncertainty_threshold=0.3)
     if learner == "reinforce":
         return options(
@@ -134,8 +126,7 @@ def arms(options: AnyOptions) -> dict[str, study.Made]:
     env = FrameStack(named(options.env), options.frames)
     return study.world_arms(
         env, options.agent, options.model, options.dyna, options.hparams,
-        study.Hooks(piece=10, block=options.block),
-    )  # fmt: skip
+        study.Hooks(piece=10, block=options.block))  # fmt: skip
 
 
 def rule(options: AnyOptions) -> SolveRule | None:
@@ -172,11 +163,7 @@ def experiment(said: str, learner: str) -> engine.Experiment:
 
 
 def command_parts(flags: Sequence[str]) -> tuple[list[engine.Experiment], list[str], str]:
-    """See `jaxdyna.experiments.engine.record.command_of`.
-
-    Raises:
-        ValueError: where there is no such world.
-    """
+    """See `jaxdyna.experiments.engine.record.command_of`; `ValueError` on an unknown world."""
     helping = [word for word in flags if word in ("-h", "--help", "--help-all")]
     asked = [word for word in flags if word not in helping]
     said, rest = cli.read(World, asked, PROG, return_unknown_args=True)

@@ -37,10 +37,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def evaluate(call: Call, argv: Sequence[str]) -> int:
-    """Prints what each earns, and what the report says.
-
-    Raises:
-        ValueError: where nothing is kept in the folder, or Gymnasium has no such world.
+    """Prints what each earns, and what the report says. `ValueError` where nothing is kept in the
+    folder, or Gymnasium has no such world.
     """
     left, rows = load(call.folder), []
     with programs.kept():
@@ -61,11 +59,7 @@ def evaluate(call: Call, argv: Sequence[str]) -> int:
 
 
 def returns(left: Loaded, arm: str, seed: int | None, call: Call) -> np.ndarray:
-    """Of a kept policy, ``[episodes]``.
-
-    Raises:
-        ValueError: where it is not kept, or Gymnasium has no such world.
-    """
+    """Of a kept policy, ``[episodes]``; `ValueError` if it is not, or Gymnasium has no such world."""
     if not call.gymnasium:
         return left.returns(arm, seed, call.episodes)
     run = left.trained(arm, seed)

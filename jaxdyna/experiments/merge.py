@@ -38,11 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def merge(call: Call, argv: Sequence[str]) -> int:
-    """Makes the record.
-
-    Raises:
-        ValueError: where the folders are not those of one run.
-    """
+    """Makes the record; `ValueError` where the folders are not those of one run."""
     if not call.folders or len({one.resolve() for one in call.folders}) < len(call.folders):
         raise ValueError("give the folder of each shard, each of them once")
     shards = {folder: storage.read_json(folder / "results.json") for folder in call.folders}
@@ -99,8 +95,7 @@ def _merged(shards: Shards, command: str, out: Path) -> tuple[Experiment, Record
     spent = {
         name: {part: sum(one["timing"]["arms"].get(name, {}).get(part, 0.0) for one in every)
                for part in seconds}
-        for one in every for name, seconds in one["timing"]["arms"].items()
-    }  # fmt: skip
+        for one in every for name, seconds in one["timing"]["arms"].items()}  # fmt: skip
     total_s = sum(one["timing"]["total_s"] for one in every)
     peaks = [peak for one in every if (peak := one["device"]["peak_memory_gib"]) is not None]
     kept = ("experiment", "part", "module", "versions", "commit", "source", "sweep")

@@ -69,21 +69,13 @@ class Call:
 
 @dataclass(frozen=True)
 class Plan:
-    """A record as the lab book has it.
+    """A record as the lab book has it."""
 
-    Attributes:
-        name: of its folder.
-        asks: its question.
-        command: module and flags, as after ``python -m jaxdyna.experiments.``.
-        hours: what it costs, where no record says so yet.
-        builds_on: names of the records above it beside which it is read: where one of these is
-            stale, so is this.
-    """
-
-    name: str
-    asks: str
-    command: str
-    hours: float | None = None
+    name: str  #: of its folder
+    asks: str  #: its question
+    command: str  #: module and flags, as after ``python -m jaxdyna.experiments.``
+    hours: float | None = None  #: what it costs, where no record says so yet
+    #: names of records above it beside which it is read: where one of these is stale, so is this
     builds_on: Sequence[str] = ()
 
     @cached_property
@@ -163,10 +155,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run(call: Call, argv: Sequence[str]) -> int:
-    """Lists, records, redraws or compares, and returns the exit code.
-
-    Raises:
-        ValueError: where what is asked for cannot be.
+    """Lists, records, redraws or compares, and returns the exit code. `ValueError` where what is
+    asked for cannot be.
     """
     plans, _ = read_plans(call.book), call.part
     if unknown := [name for name in call.names if name not in plans]:
@@ -184,10 +174,8 @@ def run(call: Call, argv: Sequence[str]) -> int:
 
 
 def read_plans(book: Path) -> dict[str, Plan]:
-    """The records of the lab book, by name.
-
-    Raises:
-        ValueError: where there is no lab book, or it says of a record what is none.
+    """The records of the lab book, by name; `ValueError` where there is no lab book, or it says of
+    a record what is none.
     """
     try:
         plans = {name: Plan(name, **said) for name, said in _table(book, "records").items()}
@@ -216,8 +204,7 @@ def listed(asked: Mapping[str, Plan], plans: Mapping[str, Plan], folder: Path) -
         state = State.of(plan, plans, folder)
         table.add_row(
             name, str(plan.session.options.seed), number(cost(plan, state.results), 2),
-            _where(folder / name, state.results), str(state), plan.asks,
-        )  # fmt: skip
+            _where(folder / name, state.results), str(state), plan.asks)  # fmt: skip
     Console(highlight=False, width=None if sys.stdout.isatty() else 160).print(table)
 
 
@@ -238,10 +225,8 @@ def cost(plan: Plan, results: Results | None) -> float | None:
 
 def record(plans: Collection[Plan], call: Call, argv: Sequence[str]) -> int:
     """Makes records one after the other, each by its own command, and returns the exit code: that
-    of the last that failed; an interruption ends them all.
-
-    Raises:
-        ValueError: where what is recorded could not be named by a commit, or would confirm nothing.
+    of the last that failed; an interruption ends them all. `ValueError` where what is recorded
+    could not be named by a commit, or would confirm nothing.
     """
     commit = storage.commit()
     changed = storage.git(call.book, "status", "--porcelain", "--", *TABLES)
@@ -356,8 +341,7 @@ def primary(book: Path, folder: Path) -> str:
         )
         told = [MISSING, "-", "-"] if ratio is None else [
             f"{number(ratio['ratio'], 2)} ({interval(ratio['ci95'], 2)})", number(ratio["p"], 4),
-            number(p, 4),
-        ]  # fmt: skip
+            number(p, 4)]  # fmt: skip
         arms = f"{' : '.join(one['arms'])}, n = {one['runs']}"
         rows.append([one["record"], arms, what, *told])
     header = ["record", "arms", "measure", "ratio (95% interval)", "p", "Holm's p"]
