@@ -59,7 +59,7 @@ def evaluate(call: Call, argv: Sequence[str]) -> int:
 
 
 def returns(left: Loaded, arm: str, seed: int | None, call: Call) -> np.ndarray:
-    """Of a kept policy, ``[episodes]``; `ValueError` if it is not, or Gymnasium has no such world."""
+    """Of a kept policy, ``[episodes]``; `ValueError` where it, or Gymnasium's world, is missing."""
     if not call.gymnasium:
         return left.returns(arm, seed, call.episodes)
     run = left.trained(arm, seed)

@@ -67,11 +67,9 @@ class Work(NamedTuple):
     #: units between two looks at the clock: a run is over at a multiple of it at the earliest
     piece: int = 50
     block: int = 1  #: runs computed together
-    #: to which XLA optimises its units on a CPU: 2 compiles in two thirds of the time, 3 may run
-    #: faster
+    #: to which XLA optimises units on a CPU: 2 compiles in 2/3 of the time, 3 may run faster
     level: int = 3
-    #: ``(state, hparams) -> what a run has learned``, of which the first runs' is kept; None:
-    #: nothing is
+    #: ``(state, hparams) -> what a run has learned``; the first runs' is kept; None: nothing
     trained: Callable[[Any, Any], Trained] | None = None
 
 
@@ -145,8 +143,7 @@ class Seconds(NamedTuple):
 class Played(NamedTuple):
     """What runs came to."""
 
-    #: a dictionary a run: metrics ``[units]``, what was judged, and of those with seed 0 what is
-    #: shown
+    #: a dictionary a run: metrics ``[units]``, what was judged, and of seed 0 what is shown
     curves: list[Curves]
     seconds: Seconds  #: taken
 

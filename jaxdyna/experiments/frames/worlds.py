@@ -62,8 +62,7 @@ class Asked(NamedTuple):
     #: ``(params, obs [N, ...], action [N]) -> [N, H, W, channels]``: how likely a pixel is lit by
     #: each channel
     believe: Callable[..., jax.Array]
-    #: by name ways to make frames, each a model's ``predict``; the first one's rewards count, and
-    #: it is filmed
+    #: by name ways to make frames, each a ``predict``; the first one's rewards count, it is filmed
     rules: tuple[tuple[str, Predict], ...]
     threshold: float  #: a pixel is lit above it
     rewards: bool = False  #: whether it predicts any
