@@ -31,8 +31,7 @@ class SolveRule(Checked):
     threshold: float = setting(help="A return, or a share.")
     share_of: str | None = setting(
         None, "Name of a curve, such as the return that was to be had in each episode; None for a "
-        "threshold that is a return.",
-    )  # fmt: skip
+        "threshold that is a return.")  # fmt: skip
 
     def reached(self, mean: np.ndarray) -> np.ndarray:
         """Whether a mean of `score` is as high as asked for, but for rounding."""

@@ -15,5 +15,4 @@ __all__ = [
     "CloningConfig", "CloningState", "DQNConfig", "DQNHParams", "DQNState",
     "LinearPolicy", "LinearRegulator", "LinearRegulatorHParams", "LinearSearchHParams",
     "ReinforceConfig", "ReinforceHParams", "cloning", "dqn", "linear_regulator", "linear_search",
-    "policy_logits", "q_values", "real_memory", "reinforce",
-]  # fmt: skip
+    "policy_logits", "q_values", "real_memory", "reinforce"]  # fmt: skip

@@ -71,8 +71,7 @@ class CloningConfig(Checked):
     )
     loss: Loss = setting(
         cross_entropy_loss, "Loss of one imitated action.",
-        choices=(cross_entropy_loss, margin_loss),
-    )  # fmt: skip
+        choices=(cross_entropy_loss, margin_loss))  # fmt: skip
     learns_too: bool = setting(
         False,
         "Whether the agent's own update sees the shown episodes as well, as a learner that is "

@@ -164,8 +164,7 @@ def dqn(
 
     return Agent(
         init, act, update, act_fake, update_fake,
-        num_actions=num_actions, hparams=DQNHParams, act_greedy=act_greedy,
-    )  # fmt: skip
+        num_actions=num_actions, hparams=DQNHParams, act_greedy=act_greedy)  # fmt: skip
 
 
 def _check_network(network: Any, obs: jax.Array, num_actions: int) -> None:
@@ -249,8 +248,7 @@ def _descend(
     def loss_fn(params: Any) -> tuple[jax.Array, jax.Array]:
         errors = jax.vmap(td_error)(
             values(params, batch.first.obs), batch.first.action,
-            hparams.reward_scale * batch.reward, batch.discount, next_target, choice,
-        )  # fmt: skip
+            hparams.reward_scale * batch.reward, batch.discount, next_target, choice)  # fmt: skip
         weight = draws.often**-hparams.importance_exponent
         weight = batch.first.weights * weight / weight.max()
         return (weight * config.loss(errors)).mean(), errors

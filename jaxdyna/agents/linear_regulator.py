@@ -153,5 +153,4 @@ def linear_regulator(obs_shape: tuple[int, ...], num_actions: int, horizon: int 
 
     return Agent(
         init, act, update, num_actions=num_actions, hparams=LinearRegulatorHParams,
-        act_greedy=act_greedy,
-    )  # fmt: skip
+        act_greedy=act_greedy)  # fmt: skip

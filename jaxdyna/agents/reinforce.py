@@ -82,12 +82,10 @@ class ReinforceConfig(Checked):
     optimizer: Optimizer = optimizer_setting(optax.adam)
     epochs: int = setting(
         1, "Gradient steps on each batch of episodes; from the second on how far the policy may go "
-        "from the one that played them is clipped (PPO).", at_least=1,
-    )  # fmt: skip
+        "from the one that played them is clipped (PPO).", at_least=1)  # fmt: skip
     output_variance: float = setting(
         1.0, "Variance of the policy's initial output weights, see jaxdyna.networks.MLP: a small "
-        "one begins with all actions alike.", above=0,
-    )  # fmt: skip
+        "one begins with all actions alike.", above=0)  # fmt: skip
 
 
 def _network(num_actions: int, config: ReinforceConfig) -> MLP:

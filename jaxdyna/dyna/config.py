@@ -16,8 +16,7 @@ class DynaConfig:
     num_episodes: int = setting(1000, "Real episodes in all.", at_least=1)
     num_real_first: int = setting(
         100, "N of the paper (§3.1.2): the first dream follows the N-th real episode (0 is as 1).",
-        at_least=0, everyday=True,
-    )  # fmt: skip
+        at_least=0, everyday=True)  # fmt: skip
     num_steps: int = setting(200, "The longest real episode, in steps.", at_least=1)
     model_updates: int = setting(
         10, "Gradient steps of the model after each real episode.", at_least=0, everyday=True
@@ -31,8 +30,7 @@ class DynaConfig:
     dream_episodes: int = setting(2, "Fake episodes in each of them.", at_least=1, everyday=True)
     dream_steps: int | None = setting(
         None, "The longest fake episode, in steps; None for as long as a real one.", at_least=1,
-        everyday=True,
-    )  # fmt: skip
+        everyday=True)  # fmt: skip
     eval_every: int = setting(
         0, "Real episodes between evaluations of the policy as it then is, greedy, in new episodes "
         "that nothing is learned of; 0 never, nor where an expert acts for good.", at_least=0,
@@ -47,8 +45,7 @@ class DynaConfig:
         None,
         "At least this share of each model batch comes from rare transitions, those that ended an "
         "episode or what else jaxdyna.dyna.Dyna.memory takes for rare; None draws all alike.",
-        at_least=0, at_most=1,
-    )  # fmt: skip
+        at_least=0, at_most=1)  # fmt: skip
 
     def __post_init__(self) -> None:
         check(self)
@@ -73,9 +70,7 @@ class DynaHParams:
     )
     fake_weight: float = setting(
         1.0, "Weight of fake transitions in the policy's update; 0 is the model-free arm.",
-        at_least=0,
-    )  # fmt: skip
+        at_least=0)  # fmt: skip
     num_real_first: int = setting(
         0, "Masks out dreams before this many real episodes, where that is more than the "
-        "configuration's (which also saves their computation).", at_least=0,
-    )  # fmt: skip
+        "configuration's (which also saves their computation).", at_least=0)  # fmt: skip

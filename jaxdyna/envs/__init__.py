@@ -16,8 +16,7 @@ __all__ = [
     "CartPoleState", "Catch", "CatchParams", "CatchState", "Drawn", "FrameStack", "HostEnv",
     "HostVectorEnv", "Hosted", "HostedParams", "HostedState", "Maze", "MazeParams", "MazeState",
     "ObjectMasks", "Palette", "Pong", "PongParams", "PongState", "Replayed", "ReplayedParams",
-    "StackState", "from_gymnasium", "register",
-]  # fmt: skip
+    "StackState", "from_gymnasium", "register"]  # fmt: skip
 
 register("jaxdyna/CartPole-v0", CartPole(), CartPoleParams(max_steps=200), reward_threshold=195.0)
 register("jaxdyna/CartPole-v1", CartPole(), CartPoleParams(max_steps=500), reward_threshold=475.0)

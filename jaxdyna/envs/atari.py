@@ -37,8 +37,7 @@ class AtariParams:
     no_ops: int = setting(
         30,
         "An episode begins with 1 to so many frames of doing nothing (Mnih et al. 2015); 0 counts "
-        "as 1.", at_least=0,
-    )  # fmt: skip
+        "as 1.", at_least=0)  # fmt: skip
 
 
 @struct.dataclass
@@ -65,8 +64,7 @@ class AtariPong(Pictures):
     frame_skip: int = setting(4, "Frames a step, all with the same action.", at_least=1)
     scale: int = setting(
         1, "As in jaxdyna.envs.Pong; with 1 the frame is the whole screen in its own colours.",
-        at_least=1,
-    )  # fmt: skip
+        at_least=1)  # fmt: skip
     palette: Palette = setting(
         CHANNELS, "The colours of a smaller frame; objects are told by their colours on the screen."
     )

@@ -26,8 +26,7 @@ class CartPoleParams:
     tau: float = setting(0.02, "Seconds a step.", above=0)
     theta_threshold: float = setting(
         12 * 2 * math.pi / 360, "The pole's angle beyond which the episode terminates, rad.",
-        above=0,
-    )  # fmt: skip
+        above=0)  # fmt: skip
     x_threshold: float = setting(
         2.4, "The cart's distance from the middle beyond which it terminates, m.", above=0
     )

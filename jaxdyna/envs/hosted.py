@@ -72,8 +72,7 @@ class HostedParams:
 
     max_steps: int = setting(
         UNLIMITED, "Steps until truncation; what the world itself cuts off is truncated too.",
-        at_least=1,
-    )  # fmt: skip
+        at_least=1)  # fmt: skip
 
 
 @struct.dataclass

@@ -45,8 +45,7 @@ class Pong(Pictures):
     frame_skip: int = setting(4, "Frames a step, all with the same action.", at_least=1)
     scale: int = setting(
         1, "How many of the game's pixels a pixel of the frame is wide and high; a divisor of 160.",
-        at_least=1,
-    )  # fmt: skip
+        at_least=1)  # fmt: skip
     palette: Palette = setting(Palette(), "The colours; CHANNELS gives each object its channel.")
 
     def __post_init__(self) -> None:

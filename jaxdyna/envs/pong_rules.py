@@ -51,8 +51,7 @@ class PongParams:
     )
     repeat_action_probability: float = setting(
         0.0, 'Probability that a frame repeats the last frame\'s action instead ("sticky actions"; '
-        "0.25 in ALE/Pong-v5, 0 in PongNoFrameskip-v4).", at_least=0, at_most=1,
-    )  # fmt: skip
+        "0.25 in ALE/Pong-v5, 0 in PongNoFrameskip-v4).", at_least=0, at_most=1)  # fmt: skip
 
 
 @struct.dataclass
@@ -92,8 +91,7 @@ def first_state(params: PongParams) -> PongState:
         own=jnp.int32(62), own_target=jnp.float32(63), opponent=jnp.int32(-29),
         score=jnp.zeros(2, jnp.int32),
         wait=jnp.maximum(params.first_serve_delay, 1).astype(jnp.int32), last_action=zero,
-        clock=zero, time=zero,
-    )  # fmt: skip
+        clock=zero, time=zero)  # fmt: skip
 
 
 def advance(key: Key, state: PongState, action: jax.Array, params: PongParams) -> PongState:
@@ -133,8 +131,7 @@ def advance(key: Key, state: PongState, action: jax.Array, params: PongParams) -
         state, ball=ball, ball_velocity=velocity.astype(jnp.int32), own=own, own_target=own_target,
         opponent=_move_opponent(state, ball, served, clock, params),
         score=state.score + jnp.stack([lost, won]), wait=wait, last_action=action.astype(jnp.int32),
-        clock=clock,
-    )  # fmt: skip
+        clock=clock)  # fmt: skip
 
 
 def _bounce(state: PongState, fires: jax.Array) -> jax.Array:

@@ -33,5 +33,4 @@ __all__ = [
     "SupervisedConfig", "SupervisedHParams", "SupervisedParams",
     "discriminator", "frame_probability", "gan_adam", "never", "pixels",
     "probability_rule", "rectangle_probability", "rectangles", "supervised",
-    "threshold_rule", "uncertain", "uniform_start",
-]  # fmt: skip
+    "threshold_rule", "uncertain", "uniform_start"]  # fmt: skip

@@ -20,8 +20,7 @@ class DreamHParams:
 
     termination_threshold: float = setting(
         0.5, "Probability of the end above which a fake episode terminates (threshold_rule).",
-        at_least=0, at_most=1,
-    )  # fmt: skip
+        at_least=0, at_most=1)  # fmt: skip
     uncertainty_threshold: float = setting(
         math.inf,
         "How uncertain the model may be before a fake episode ends (threshold_rule, uncertain), in "

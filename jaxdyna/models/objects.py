@@ -33,8 +33,7 @@ class RectangleConfig(Checked):
     )
     groups: tuple[tuple[int, ...], ...] = setting(
         ((0,), (1,), (2,)), "Channels that are decided together, one group after the other.",
-        at_least=0,
-    )  # fmt: skip
+        at_least=0)  # fmt: skip
     hidden: tuple[int, ...] = setting(
         (256, 256), "Widths of each group's perceptron.", at_least=1, everyday=True
     )
@@ -128,8 +127,7 @@ def _module(frame_shape: tuple[int, int, int], config: RectangleConfig) -> Recta
         raise ValueError(f"groups are {config.groups}: name each of the {channels} channels once")
     return RectangleDynamics(
         frame_shape[:2], config.told, config.groups, config.hidden, config.dropout,
-        len(config.rewards),
-    )  # fmt: skip
+        len(config.rewards))  # fmt: skip
 
 
 def _learner(

@@ -40,8 +40,7 @@ class PixelConfig(Checked):
     loss: PixelLoss = setting(bce, "Loss of the pixels.", choices={"bce": bce, "l1": l1, "l2": l2})
     threshold: float | None = setting(
         0.5, "A pixel is lit where it is believed to be with a greater probability (the paper's is "
-        "0.2); None draws it with that probability.", at_least=0, below=1,
-    )  # fmt: skip
+        "0.2); None draws it with that probability.", at_least=0, below=1)  # fmt: skip
     reward: Any = setting(
         LocalReward(),
         "A module (features, next_frame [N, H, W, C]) -> (reward [N], charge [N]), such as "
@@ -154,8 +153,7 @@ def _learner(
             variables = {**state.params, "params": params}
             (raw, *outcome), settled = module.apply(
                 variables, _scale(batch.obs), one_hot, truth, True, weight > 0,
-                mutable=["batch_stats"],
-            )  # fmt: skip
+                mutable=["batch_stats"])  # fmt: skip
             parts = _losses(config, raw, outcome, truth, batch)
             importance = {"reward_loss": config.reward_weight}
             if adversary is not None:

@@ -46,8 +46,7 @@ class SupervisedConfig(Checked):
     )
     scale_reward: bool = setting(
         False, "Likewise rewards: where they are far from 1, their errors else hide the state's, "
-        "or are hidden by them.",
-    )  # fmt: skip
+        "or are hidden by them.")  # fmt: skip
     spread: float = setting(
         1.0,
         "How many standard deviations normalise maps to 1. More makes the state's errors smaller "
@@ -56,12 +55,10 @@ class SupervisedConfig(Checked):
     one_hot: bool = setting(False, "Encode the action one-hot instead of as one number.")
     ensemble: int = setting(
         1, "Members of the ensemble, each with its own initial weights and its own resampling of "
-        "every batch; a prediction is their mean.", at_least=1, everyday=True,
-    )  # fmt: skip
+        "every batch; a prediction is their mean.", at_least=1, everyday=True)  # fmt: skip
     one_member: bool = setting(
         False, "Every prediction is that of a member drawn at random (TS1 of Chua et al. 2018), "
-        "not their mean: a policy has to do well whichever of them is right.",
-    )  # fmt: skip
+        "not their mean: a policy has to do well whichever of them is right.")  # fmt: skip
     weight_variance: float = setting(
         1.0, "Variance of the initial weights, see jaxdyna.networks.MLP.", above=0
     )

@@ -25,5 +25,4 @@ __all__ = [
     "MLP", "ClassReward", "Convolution", "ConvolutionalQ", "Discriminator", "EncoderDecoder",
     "FeaturePointQ", "FrameModel", "GlimpseQ", "JointReward", "LocalDynamics", "LocalReward",
     "Patched", "PerceptronQ", "PlainQ", "RectangleDynamics", "Resolution", "SignedReward",
-    "from_patches", "glimpses", "to_patches",
-]  # fmt: skip
+    "from_patches", "glimpses", "to_patches"]  # fmt: skip

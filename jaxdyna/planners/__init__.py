@@ -14,5 +14,4 @@ from jaxdyna.planners.value_iteration import Plan, solve_maze
 __all__ = [
     "CrossEntropyConfig", "Decision", "Guide", "Plan", "Planner", "SearchConfig", "ShootingConfig",
     "Value", "cross_entropy", "gumbel_muzero", "muzero", "random_shooting", "require_mctx",
-    "rollout_value", "score", "solve_maze",
-]  # fmt: skip
+    "rollout_value", "score", "solve_maze"]  # fmt: skip

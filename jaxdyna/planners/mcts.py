@@ -26,8 +26,7 @@ class SearchConfig(Checked):
     discount: float = setting(0.99, "Discount of the return.", at_least=0, at_most=1)
     considered: int = setting(
         16, "Actions at the root that gumbel_muzero looks at, the likeliest by prior and noise.",
-        at_least=1,
-    )  # fmt: skip
+        at_least=1)  # fmt: skip
     gumbel_scale: float = setting(
         0.0, "Scale of that noise; 0 looks at the likeliest and decides for the best.", at_least=0
     )
@@ -36,8 +35,7 @@ class SearchConfig(Checked):
     )
     temperature: float = setting(
         0.0, "Temperature of the visits that muzero draws its action by; 0 takes the most visited.",
-        at_least=0, infinite=True,
-    )  # fmt: skip
+        at_least=0, infinite=True)  # fmt: skip
 
 
 class Node(NamedTuple):

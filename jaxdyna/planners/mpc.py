@@ -39,8 +39,7 @@ class ShootingConfig(Checked):
         "Temperature of the returns by which random shooting chooses: an action is worth t log "
         "mean exp(return / t) of the sequences that begin with it. 0 goes by the best of them, "
         "infinity by their mean: what is safe whatever follows wins over what a single sequence "
-        "gets away with.", at_least=0, infinite=True,
-    )  # fmt: skip
+        "gets away with.", at_least=0, infinite=True)  # fmt: skip
     particles: int = setting(
         1, "Episodes that a sequence is judged by, for a world that is random.", at_least=1
     )
@@ -54,8 +53,7 @@ class CrossEntropyConfig(ShootingConfig):
     elites: int = setting(8, "Best candidates of a round, which the next is like.", at_least=1)
     floor: float = setting(
         0.1, "Least probability of an action in the next round, shared by all actions.", above=0,
-        at_most=1,
-    )  # fmt: skip
+        at_most=1)  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()

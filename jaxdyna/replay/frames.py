@@ -121,8 +121,7 @@ def init(
         frame=frames(capacity), rest=rest, time=numbers, episode=numbers,
         older=frames(episodes, num_frames - 1), last_frame=frames(episodes), added=none,
         episodes_added=none, first=jnp.zeros(episodes, jnp.int32), beside=more,
-        num_frames=num_frames,
-    )  # fmt: skip
+        num_frames=num_frames)  # fmt: skip
 
 
 def add(replay: FrameReplay, episodes: Transition, beside: Any = ()) -> FrameReplay:
