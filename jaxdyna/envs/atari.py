@@ -23,8 +23,7 @@ from jaxdyna.envs.pong_screen import CHANNELS, Palette, blank, masks_by_colour, 
 from jaxdyna.fields import SettingError, check, setting
 from jaxdyna.types import Key
 
-EMULATOR_BYTES = 16_384
-"""Room for a saved emulator, of which Pong takes 14,500."""
+EMULATOR_BYTES = 16_384  #: room for a saved emulator, of which Pong takes 14,500
 SCREEN = (210, 160, 3)
 _here = threading.local()
 
@@ -51,12 +50,8 @@ class AtariState:
 @dataclass(frozen=True)
 class AtariPong(Pictures):
     """The real game (Bellemare et al. 2013), without repeated actions; actions and rewards are
-    those of `jaxdyna.envs.Pong`, and frames look like its own in the same palette. It needs the
-    ``atari`` extra.
-
-    Raises:
-        ImportError: without the ``atari`` extra, with how to install it.
-        ValueError: where a setting is impossible.
+    those of `jaxdyna.envs.Pong`, and frames look like its own in the same palette. `ImportError`
+    without the ``atari`` extra, `ValueError` where a setting is impossible.
     """
 
     num_actions: ClassVar = NUM_ACTIONS

@@ -58,8 +58,7 @@ class CartPole(Discrete):
     default_params: ClassVar = CartPoleParams()
     """Gym's CartPole-v0; ``.replace(max_steps=500)`` makes it v1."""
     num_actions: ClassVar = 2
-    gymnasium_id: ClassVar = "CartPole-v1"
-    """Of Gymnasium's own, with another time limit."""
+    gymnasium_id: ClassVar = "CartPole-v1"  #: of Gymnasium's own, with another time limit
 
     def reset(self, key: Key, params: CartPoleParams) -> tuple[jax.Array, CartPoleState]:
         """Starts near the upright standstill: ``obs [4], state``."""

@@ -13,8 +13,7 @@ from jaxdyna.envs.maze import enlarge
 from jaxdyna.fields import Checked, setting
 from jaxdyna.types import Key
 
-MOVES = np.array([-1, 0, 1], np.int32)
-"""The paddle's columns by action: left, stay, right."""
+MOVES = np.array([-1, 0, 1], np.int32)  #: the paddle's columns by action: left, stay, right
 
 
 @struct.dataclass
@@ -28,17 +27,11 @@ class CatchParams:
 
 @struct.dataclass
 class CatchState:
-    """Cells count from the top left; int32.
+    """Cells count from the top left; int32."""
 
-    Attributes:
-        ball: ``[2]``, (row, column).
-        paddle: its column; its row is the last one.
-        time: the number of steps taken.
-    """
-
-    ball: jax.Array
-    paddle: jax.Array
-    time: jax.Array
+    ball: jax.Array  #: ``[2]``, (row, column)
+    paddle: jax.Array  #: its column; its row is the last one
+    time: jax.Array  #: the number of steps taken
 
 
 @dataclass(frozen=True)

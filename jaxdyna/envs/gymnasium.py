@@ -46,8 +46,7 @@ class Pictures(Discrete):
         return spaces.Box(0, 255, self.frame_shape, np.uint8)
 
 
-REGISTERED: dict[str, tuple[Environment, Any]] = {}
-"""Environments and their parameters, by name."""
+REGISTERED: dict[str, tuple[Environment, Any]] = {}  #: environments and their parameters, by name
 
 
 def register(env_id: str, env: Environment, params: Any, **spec: Any) -> None:
@@ -74,10 +73,8 @@ def register(env_id: str, env: Environment, params: Any, **spec: Any) -> None:
 def play(
     env_id: str, policy: Callable[..., jax.Array], seed: int, episodes: int, max_steps: int
 ) -> np.ndarray:  # fmt: skip
-    """What ``policy``, ``(obs, key) -> action``, earns in an environment of Gymnasium's own.
-
-    Returns:
-        Returns ``[episodes]``, of episodes of at most ``max_steps`` steps, side by side.
+    """Returns ``[episodes]`` that ``policy``, ``(obs, key) -> action``, earns in an environment of
+    Gymnasium's own, in episodes of at most ``max_steps`` steps, side by side.
     """
     env = gymnasium.make_vec(env_id, episodes, "sync", max_episode_steps=max_steps)
     act, key = jax.jit(jax.vmap(policy)), jax.random.key(seed)
@@ -95,10 +92,7 @@ def play(
 
 def atari_emulator(game: str) -> Any:
     """The emulator itself of such a game at its start, an ``ale_py.ALEInterface`` that repeats no
-    actions; always the same.
-
-    Raises:
-        ImportError: without the ``atari`` extra.
+    actions; always the same. `ImportError` without the ``atari`` extra.
     """
     check_atari()
     env: Any = gymnasium.make(f"ALE/{game}-v5", repeat_action_probability=0.0)
@@ -107,11 +101,7 @@ def atari_emulator(game: str) -> Any:
 
 
 def check_atari() -> None:
-    """Makes the real Atari games known to Gymnasium.
-
-    Raises:
-        ImportError: without the ``atari`` extra, with how to install it.
-    """
+    """Makes the real Atari games known to Gymnasium; `ImportError` without the ``atari`` extra."""
     try:
         import ale_py  # noqa: PLC0415  (an extra that most people do without)
     except ImportError as error:
@@ -193,10 +183,7 @@ class HostEnv(Host, gymnasium.Env[np.ndarray, np.int64]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Starts an episode; ``seed`` makes it and all that follows reproducible. With ``options``
         low and high, every number of its first observation is uniform between them, as in
-        Gymnasium's own CartPole.
-
-        Raises:
-            ValueError: where there are other options, or the environment cannot begin so.
+        Gymnasium's own CartPole; `ValueError` where there are other options, or it cannot begin so.
         """
         super().reset(seed=seed)
         if options:
@@ -210,11 +197,8 @@ class HostEnv(Host, gymnasium.Env[np.ndarray, np.int64]):
         return np.array(obs), {}
 
     def step(self, action: np.int64):
-        """Plays one step. After the end of an episode nothing moves and nothing is paid, and
-        Gymnasium warns.
-
-        Raises:
-            ValueError: before a reset, or where the action is none of the action space.
+        """Plays one step; `ValueError` before a reset, or where the action is none of the action
+        space. After the end of an episode nothing moves and nothing is paid, and Gymnasium warns.
         """
         if self._state is None:
             raise ValueError("step before reset: call reset() first")
@@ -270,9 +254,7 @@ class HostVectorEnv(Host, VectorEnv):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Starts an episode in every copy; ``seed`` is one number for all that follows.
-
-        Raises:
-            ValueError: where there are options: no copy takes any.
+        `ValueError` where there are options: no copy takes any.
         """
         if options:
             raise ValueError(f"options {sorted(options)}: give them to a single environment")

@@ -31,8 +31,7 @@ from jaxdyna.types import Key
 
 Make = str | Callable[[], gymnasium.Env | VectorEnv]
 """An id for ``gymnasium.make``, or what makes an environment or a vector of them."""
-UNLIMITED = 1000
-"""Steps of an episode of a world that says no limit of its own."""
+UNLIMITED = 1000  #: steps of an episode of a world that says no limit of its own
 ANSWER = Struct("<8sfII")
 """The name of where an episode stands, the reward, whether it terminated, whether it was truncated.
 """
@@ -40,7 +39,8 @@ WRAP = "give a function that makes it with a wrapper around it, such as gymnasiu
 
 
 def from_gymnasium(make: Make, num_envs: int) -> "Hosted":
-    """A Gymnasium world as an `jaxdyna.types.Environment`.
+    """A Gymnasium world as a `jaxdyna.types.Environment`; `ValueError` where there is no such
+    world, or its spaces are others.
 
     An episode begins with ``reset(seed=f(key))`` and so depends on its own key alone: where the
     world is deterministic by its seed, a resumed run equals the uninterrupted one (checkpoints lie
@@ -56,9 +56,6 @@ def from_gymnasium(make: Make, num_envs: int) -> "Hosted":
             vectors, or frames of bytes ``[height, width, channels]``; actions are discrete.
         num_envs: episodes that are played at a time, at the most; worlds are made as they are
             needed. Of runs that are computed together: of all of them.
-
-    Raises:
-        ValueError: where there is no such world, or its spaces are others.
     """
     check_counts(num_envs=num_envs)
     env = Hosted(make, num_envs)
@@ -77,21 +74,13 @@ class HostedParams:
 
 @struct.dataclass
 class HostedState:
-    """Where an episode stands.
+    """Where an episode stands."""
 
-    Attributes:
-        name: uint32 ``[2]``, by which the host knows it.
-        time: int32, steps taken.
-        obs: what was seen last.
-        terminated: whether the world has ended.
-        truncated: whether it was broken off.
-    """
-
-    name: jax.Array
-    time: jax.Array
-    obs: jax.Array
-    terminated: jax.Array
-    truncated: jax.Array
+    name: jax.Array  #: uint32 ``[2]``, by which the host knows it
+    time: jax.Array  #: int32, steps taken
+    obs: jax.Array  #: what was seen last
+    terminated: jax.Array  #: whether the world has ended
+    truncated: jax.Array  #: whether it was broken off
 
 
 @dataclass(frozen=True)
@@ -237,10 +226,8 @@ class Host:
 
     def step(self, asked: Any) -> tuple[np.ndarray, np.ndarray]:
         """A step of each episode ``[..., 5]``: its name, the action, whether it is the last, and
-        whether there is none to make, as it is over.
-
-        Raises:
-            RuntimeError: where the world of one is in use by another.
+        whether there is none to make, as it is over. `RuntimeError` where the world of one is in
+        use by another.
         """
         rows = np.asarray(asked).reshape(-1, 5)
         nothing = bytes(ANSWER.size), np.zeros(self.first.space.shape, self.first.space.dtype)
@@ -331,11 +318,7 @@ def _digest(what: bytes, obs: np.ndarray) -> bytes:
 
 
 def _observed(space: Any) -> spaces.Box:
-    """How observations are given on.
-
-    Raises:
-        ValueError: where they are neither vectors nor frames.
-    """
+    """How observations are given on; `ValueError` where they are neither vectors nor frames."""
     axes = len(space.shape) if isinstance(space, spaces.Box) else 0
     if axes == 1:
         return spaces.Box(space.low.astype(np.float32), space.high.astype(np.float32))

@@ -30,21 +30,13 @@ class MazeParams:
 
 @struct.dataclass
 class MazeState:
-    """Cells as (row, column), row 0 on top; int32.
+    """Cells as (row, column), row 0 on top; int32."""
 
-    Attributes:
-        agent: ``[2]``.
-        goal: ``[2]``.
-        obstacles: ``[n, 2]``.
-        directions: ``[n]``, see `MOVES`.
-        time: the number of steps taken.
-    """
-
-    agent: jax.Array
-    goal: jax.Array
-    obstacles: jax.Array
-    directions: jax.Array
-    time: jax.Array
+    agent: jax.Array  #: ``[2]``
+    goal: jax.Array  #: ``[2]``
+    obstacles: jax.Array  #: ``[n, 2]``
+    directions: jax.Array  #: ``[n]``, see `MOVES`
+    time: jax.Array  #: the number of steps taken
 
 
 @dataclass(frozen=True)

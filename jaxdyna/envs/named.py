@@ -22,10 +22,8 @@ FORMS = "gymnasium:ID, jaxdyna:NAME, MODULE:NAME or 'MODULE:NAME(FIELD=VALUE, ..
 @cache
 def named(said: str) -> Any:
     """The environment that is called so: of Gymnasium by its id; or made by a class or function of
-    `jaxdyna.envs` or of another module, which may also make one of Gymnasium's.
-
-    Raises:
-        ValueError: where there is none, with what is called almost so.
+    `jaxdyna.envs` or of another module, which may also make one of Gymnasium's. `ValueError` where
+    there is none, with what is called almost so.
     """
     if said.startswith("gymnasium:"):
         return from_gymnasium(said.partition(":")[2], AT_ONCE)

@@ -15,23 +15,18 @@ from jaxdyna.fields import setting
 from jaxdyna.types import Key
 
 FIELD = 160
-BALL, PADDLE = (4, 2), (16, 4)
-"""Heights and widths."""
+BALL, PADDLE = (4, 2), (16, 4)  #: heights and widths
 OPPONENT_COLUMN, OWN_COLUMN = 16, 140
 
-_ABSENT = -48
-"""The ball's row while there is none; the opponent runs after it there as well."""
+_ABSENT = -48  #: the ball's row while there is none; the opponent runs after it there as well
 _SERVE = (80, 79)
-_TOP, _BOTTOM = -3, 158
-"""The rows at which the ball turns around."""
-LEFT, RIGHT = 3, 156
-"""The columns at which a point is won and lost."""
+_TOP, _BOTTOM = -3, 158  #: the rows at which the ball turns around
+LEFT, RIGHT = 3, 156  #: the columns at which a point is won and lost
 _OWN_ROWS, _TARGETS = (-9, 156), (-34, 160)
 FASTEST = 3
 _DIRECTION = np.array([0, 0, -1, 1, -1, 1])
 _FIRES = np.array([False, True, False, False, True, True])
-NUM_ACTIONS = len(_DIRECTION)
-"""Nothing, fire, up, down, up and fire, down and fire."""
+NUM_ACTIONS = len(_DIRECTION)  #: nothing, fire, up, down, up and fire, down and fire
 
 
 @struct.dataclass
@@ -56,31 +51,18 @@ class PongParams:
 
 @struct.dataclass
 class PongState:
-    """Int32 where not said.
+    """Int32 where not said."""
 
-    Attributes:
-        ball: ``[2]`` (row, column).
-        ball_velocity: ``[2]``.
-        own: the own paddle's row.
-        own_target: the row that it is on its way to, float32.
-        opponent: the opponent's row.
-        score: ``[2]``, the opponent's points and the own.
-        wait: frames until the serve; 0 while the ball is in play.
-        last_action: of the last frame.
-        clock: the number of frames played.
-        time: the number of steps taken.
-    """
-
-    ball: jax.Array
-    ball_velocity: jax.Array
-    own: jax.Array
-    own_target: jax.Array
-    opponent: jax.Array
-    score: jax.Array
-    wait: jax.Array
-    last_action: jax.Array
-    clock: jax.Array
-    time: jax.Array
+    ball: jax.Array  #: ``[2]`` (row, column)
+    ball_velocity: jax.Array  #: ``[2]``
+    own: jax.Array  #: the own paddle's row
+    own_target: jax.Array  #: the row that it is on its way to, float32
+    opponent: jax.Array  #: the opponent's row
+    score: jax.Array  #: ``[2]``, the opponent's points and the own
+    wait: jax.Array  #: frames until the serve; 0 while the ball is in play
+    last_action: jax.Array  #: of the last frame
+    clock: jax.Array  #: the number of frames played
+    time: jax.Array  #: the number of steps taken
 
 
 def first_state(params: PongParams) -> PongState:
@@ -95,16 +77,8 @@ def first_state(params: PongParams) -> PongState:
 
 
 def advance(key: Key, state: PongState, action: jax.Array, params: PongParams) -> PongState:
-    """One frame of the game.
-
-    Args:
-        key: random key.
-        state: before it.
-        action: int scalar in [0, 6).
-        params: the game's.
-
-    Returns:
-        The state after it; ``time`` is left to the caller.
+    """The state after one frame with ``action``, an int scalar in [0, 6); ``time`` is left to the
+    caller.
     """
     key_sticky, key_serve = jax.random.split(key)
     sticky = jax.random.bernoulli(key_sticky, params.repeat_action_probability)

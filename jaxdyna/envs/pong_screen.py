@@ -10,8 +10,7 @@ from jaxdyna.envs.pong_rules import BALL, FIELD, OPPONENT_COLUMN, OWN_COLUMN, PA
 
 ABOVE, BELOW, WALL = 34, 16, 10
 """Rows of the whole screen above and below the field, and of the upper wall, which touches it."""
-DIGIT_COLUMNS = (20, 100)
-"""Where the opponent's points and the own are written."""
+DIGIT_COLUMNS = (20, 100)  #: where the opponent's points and the own are written
 _ROWS = "75557 26227 71747 71317 55711 74717 74757 71222 75757 75717"
 """Of each digit, the bits of three pixels."""
 _DIGITS = np.array(
@@ -42,14 +41,8 @@ class ObjectMasks(NamedTuple):
 
 
 def field_masks(state: PongState, scale: int) -> ObjectMasks:
-    """Which pixels of the field an object touches.
-
-    Args:
-        state: the game's.
-        scale: the game's pixels a side of one.
-
-    Returns:
-        Bool ``[160 / scale, 160 / scale]`` each.
+    """Which pixels of the field an object touches, bool ``[160 / scale, 160 / scale]`` each;
+    ``scale`` is how many of the game's pixels are a side of one.
     """
     first = scale * jnp.arange(FIELD // scale)
 

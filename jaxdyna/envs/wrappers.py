@@ -22,16 +22,13 @@ class Wrapper(Checked):
 
     @property
     def default_params(self) -> Any:
-        """The environment's."""
         return self.env.default_params
 
     @property
     def num_actions(self) -> int:
-        """The environment's."""
         return self.env.num_actions
 
     def action_space(self, params: Any) -> Any:
-        """The environment's."""
         return self.env.action_space(params)
 
 
@@ -78,7 +75,6 @@ class FrameStack(Wrapper):
         return obs, StackState(inner, obs), reward, terminated, truncated, info
 
     def render(self, state: StackState, params: Any) -> jax.Array:
-        """The environment's."""
         return self.env.render(state.env, params)  # type: ignore[attr-defined]
 
     def observation_space(self, params: Any) -> spaces.Box:
@@ -115,10 +111,8 @@ class Replayed(Wrapper):
         return ReplayedParams(self.env.default_params, start=None)
 
     def reset(self, key: Key, params: ReplayedParams) -> tuple[jax.Array, StackState]:
-        """Draws where it begins.
-
-        Raises:
-            ValueError: where states have no ``time``, which a dream counts anew.
+        """Draws where it begins; `ValueError` where states have no ``time``, which a dream counts
+        anew.
         """
         obs, state = self.draw(key, params.start)
         if not hasattr(state, "time"):
@@ -131,15 +125,12 @@ class Replayed(Wrapper):
     def step(
         self, key: Key, state: StackState, action: jax.Array, params: ReplayedParams
     ) -> tuple[jax.Array, StackState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
-        """The environment's."""
         return self.env.step(key, state, action, params.env)
 
     def observation_space(self, params: ReplayedParams) -> Any:
-        """The environment's."""
         return self.env.observation_space(params.env)
 
     def action_space(self, params: ReplayedParams) -> Any:
-        """The environment's."""
         return self.env.action_space(params.env)
 
 
@@ -162,10 +153,8 @@ class Drawn(Replayed):
         return self.draw(key, params.start)
 
     def step(self, key: Key, state: Any, action: jax.Array, params: ReplayedParams) -> Any:
-        """The environment's."""
         change = getattr(params.env, "replace", None) or params.env._replace
         return self.env.step(key, state, action, change(max_steps=params.max_steps))
 
     def render(self, state: Any, params: ReplayedParams) -> jax.Array:
-        """The environment's."""
         return self.env.render(state, params.env)  # type: ignore[attr-defined]
