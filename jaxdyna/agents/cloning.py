@@ -27,14 +27,8 @@ Loss = Callable[[jax.Array, jax.Array], jax.Array]
 
 
 def cross_entropy_loss(outputs: jax.Array, action: jax.Array) -> jax.Array:
-    """``-log pi(action)`` (Pomerleau 1991).
-
-    Args:
-        outputs: a policy's log odds, ``[A]``.
-        action: the shown one, int scalar.
-
-    Returns:
-        A scalar, in nats.
+    """``-log pi(action)``, a scalar in nats (Pomerleau 1991): ``outputs`` are a policy's log odds
+    ``[A]``, ``action`` is the shown one, an int scalar.
     """
     chex.assert_rank([outputs, action], [1, 0])
     return -jax.nn.log_softmax(outputs)[action]
@@ -42,15 +36,9 @@ def cross_entropy_loss(outputs: jax.Array, action: jax.Array) -> jax.Array:
 
 def margin_loss(outputs: jax.Array, action: jax.Array, margin: float = 0.8) -> jax.Array:
     """``max_a (Q(a) + margin [a is not the shown one]) - Q(shown)`` (DQfD, Hester et al. 2018,
-    their J_E): the shown action has to be the best by a margin.
-
-    Args:
-        outputs: values of actions, ``[A]``.
-        action: the shown one, int scalar.
-        margin: in the values' unit.
-
-    Returns:
-        A scalar, in the values' unit.
+    their J_E): the shown action has to be the best by a margin. ``outputs`` are values of actions
+    ``[A]``, in whose unit the margin and the loss are, a scalar; ``action`` as in
+    `cross_entropy_loss`.
     """
     chex.assert_rank([outputs, action], [1, 0])
     ahead = outputs + margin * (jnp.arange(outputs.shape[-1]) != action)
@@ -83,19 +71,13 @@ class CloningConfig(Checked):
 
 @struct.dataclass
 class CloningState:
-    """What an imitator knows.
+    """What an imitator knows."""
 
-    Attributes:
-        agent: the agent's own state. Imitation does not touch it while an expert plays, who may
-            plan by its values.
-        shown: the ``(obs, action)`` seen so far.
-        imitating: parameters that imitate them.
-        waiting: whether the agent is to take these over when it next acts or learns by itself.
-    """
-
+    #: the agent's own; imitation leaves it alone while an expert plays, who may plan by its values
     agent: Any
-    shown: Replay
-    imitating: Any
+    shown: Replay  #: the ``(obs, action)`` seen so far
+    imitating: Any  #: parameters that imitate them
+    #: whether the agent is to take these over when it next acts or learns by itself
     waiting: jax.Array
 
 
@@ -106,7 +88,8 @@ def cloning(
     config: CloningConfig,
     install: Callable[[Any, Any], Any] = lambda state, params: replace(state, params=params),
 ) -> Agent:
-    """An agent that imitates in ``update_expert`` and is ``agent`` in everything else.
+    """An agent that imitates in ``update_expert`` and is ``agent``, with its hparams, in everything
+    else.
 
     Args:
         agent: who learns; ``state.params`` is what its actions come from.
@@ -114,9 +97,6 @@ def cloning(
         example: one ``(obs, action)``: arrays, or anything with ``shape`` and ``dtype``.
         config: the program's settings.
         install: ``(state, params) -> state``: the agent with imitating parameters.
-
-    Returns:
-        An `Agent` with the hparams of ``agent``.
     """
     check_part("agent", agent, "init", "act", "update")
 

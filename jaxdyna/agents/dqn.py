@@ -31,25 +31,15 @@ Learned = tuple["DQNState", dict[str, jax.Array]]
 
 @struct.dataclass
 class DQNState:
-    """Arrays of a learner.
+    """Arrays of a learner."""
 
-    Attributes:
-        params: the online network's.
-        target: the target network's.
-        opt_state: the optimiser's.
-        steps: int32, gradient steps since the networks began.
-        exploration: how much it explores, and in which direction.
-        real: real transitions.
-        fake: dreamed ones.
-    """
-
-    params: Any
-    target: Any
-    opt_state: Any
-    steps: jax.Array
-    exploration: Exploration
-    real: Prioritized
-    fake: Prioritized
+    params: Any  #: the online network's
+    target: Any  #: the target network's
+    opt_state: Any  #: the optimiser's
+    steps: jax.Array  #: int32, gradient steps since the networks began
+    exploration: Exploration  #: how much it explores, and in which direction
+    real: Prioritized  #: real transitions
+    fake: Prioritized  #: dreamed ones
 
 
 BEGUN = ("params", "target", "opt_state", "steps")
@@ -62,7 +52,9 @@ def dqn(
     config: DQNConfig | None = None,
     num_frames: int | None = None,
 ) -> Agent:
-    """A deep Q-network with a target network and a replay for real and one for fake transitions.
+    """An `Agent` whose hparams are `DQNHParams`: a deep Q-network with a target network and a
+    replay for real and one for fake transitions. `ValueError` where an observation is neither
+    frames nor a vector, or the network does not take it to the values.
 
     Args:
         frame_shape: ``(height, width, channels)`` of one frame; an observation is uint8 ``[H, W,
@@ -71,12 +63,6 @@ def dqn(
         num_actions: number of discrete actions.
         config: the program's settings.
         num_frames: frames in an observation, by default 4; vectors in it, by default 1.
-
-    Returns:
-        An `Agent` whose hparams are `DQNHParams`.
-
-    Raises:
-        ValueError: where an observation is neither, or the network does not take it to the values.
     """
     check_shape(3, 1, frame_shape=frame_shape)
     config, pictures = config or DQNConfig(), len(frame_shape) == 3
@@ -277,19 +263,12 @@ def _descend(
 
 
 class Draws(NamedTuple):
-    """Where a batch comes from, each ``[batch]``.
+    """Where a batch comes from, each ``[batch]``."""
 
-    Attributes:
-        is_fake: bool, whether from the fake transitions.
-        real: numbers that were drawn of real transitions.
-        fake: likewise of fake ones.
-        often: how often each is drawn compared with a uniform draw.
-    """
-
-    is_fake: jax.Array
-    real: jax.Array
-    fake: jax.Array
-    often: jax.Array
+    is_fake: jax.Array  #: bool, whether from the fake transitions
+    real: jax.Array  #: numbers that were drawn of real transitions
+    fake: jax.Array  #: likewise of fake ones
+    often: jax.Array  #: how often each is drawn compared with a uniform draw
 
 
 def _mixed(

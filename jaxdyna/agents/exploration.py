@@ -12,17 +12,11 @@ from jaxdyna.types import Transition
 
 @struct.dataclass
 class Exploration:
-    """What decides it.
+    """What decides it."""
 
-    Attributes:
-        episodes: int32, real episodes counted so far.
-        rewarded: bool, whether a real step has brought a reward above 0 yet.
-        drift: ``[actions]``, log odds of exploratory actions.
-    """
-
-    episodes: jax.Array
-    rewarded: jax.Array
-    drift: jax.Array
+    episodes: jax.Array  #: int32, real episodes counted so far
+    rewarded: jax.Array  #: bool, whether a real step has brought a reward above 0 yet
+    drift: jax.Array  #: ``[actions]``, log odds of exploratory actions
 
 
 def init(num_actions: int) -> Exploration:

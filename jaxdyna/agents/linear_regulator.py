@@ -31,42 +31,28 @@ class LinearRegulatorHParams:
 
 
 class LinearModel(NamedTuple):
-    """``next_obs = obs + drift @ obs + effect[:, action]``.
+    """``next_obs = obs + drift @ obs + effect[:, action]``."""
 
-    Attributes:
-        drift: ``[n, n]``: the change of an observation, flattened, whatever is done.
-        effect: ``[n, A]``: the change that each action makes.
-    """
-
-    drift: jax.Array
-    effect: jax.Array
+    drift: jax.Array  #: ``[n, n]``: the change of an observation, flattened, whatever is done
+    effect: jax.Array  #: ``[n, A]``: the change that each action makes
 
 
 @struct.dataclass
 class LinearRegulator:
-    """A model and its policy.
+    """A model and its policy."""
 
-    Attributes:
-        inputs: ``[n + A, n + A]``: the sum over all transitions of the outer product of what the
-            model is told, the observation and the action as one of ``A``.
-        targets: ``[n + A, n]``: likewise with the change of the observation.
-        model: fitted to them.
-        params: ``[A, n]``: each action's weights of the observation; all 0 before any transition.
-    """
-
+    #: ``[n + A, n + A]``: the sum over all transitions of the outer product of what the model is
+    #: told, the observation and the action as one of ``A``
     inputs: jax.Array
-    targets: jax.Array
-    model: LinearModel
+    targets: jax.Array  #: ``[n + A, n]``: likewise with the change of the observation
+    model: LinearModel  #: fitted to them
+    #: ``[A, n]``: each action's weights of the observation; all 0 before any transition
     params: jax.Array
 
 
 def least_squares(inputs: jax.Array, targets: jax.Array, ridge: float) -> LinearModel:
-    """The linear model of least squared error.
-
-    Args:
-        inputs: see `LinearRegulator`.
-        targets: likewise.
-        ridge: see `LinearRegulatorHParams`.
+    """The linear model of least squared error; ``inputs`` and ``targets`` as in `LinearRegulator`,
+    ``ridge`` as in `LinearRegulatorHParams`.
     """
     size = targets.shape[1]
     solved = jnp.linalg.solve(inputs + ridge * _eye(inputs), targets).T
@@ -74,16 +60,10 @@ def least_squares(inputs: jax.Array, targets: jax.Array, ridge: float) -> Linear
 
 
 def regulator(model: LinearModel, action_cost: float, horizon: int) -> jax.Array:
-    """The feedback that keeps squared observations, and actions, small over so many steps.
-
-    Args:
-        model: the world. Only the differences between actions count.
-        action_cost: see `LinearRegulatorHParams`.
-        horizon: steps.
-
-    Returns:
-        ``[A, n]``: how much of each action, as a linear function of the observation (the discrete
-        Riccati equation, backwards from the last step).
+    """The feedback that keeps squared observations, and actions, small over ``horizon`` steps:
+    ``[A, n]``, how much of each action, as a linear function of the observation (the discrete
+    Riccati equation, backwards from the last step). Of the model only the differences between
+    actions count; ``action_cost`` as in `LinearRegulatorHParams`.
     """
     last = _eye(model.drift)
     step = last + model.drift

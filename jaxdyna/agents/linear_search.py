@@ -24,13 +24,9 @@ class LinearSearchHParams:
 
 @struct.dataclass
 class LinearPolicy:
-    """A policy.
+    """A policy."""
 
-    Attributes:
-        params: ``[A, n]``: each action's weights of the flattened observation.
-    """
-
-    params: jax.Array
+    params: jax.Array  #: ``[A, n]``: each action's weights of the flattened observation
 
 
 def linear_action(params: jax.Array, obs: jax.Array) -> jax.Array:

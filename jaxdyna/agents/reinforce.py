@@ -18,15 +18,13 @@ from jaxdyna.types import Agent, Key, Transition, check_transitions
 
 
 def no_baseline(returns: jax.Array, valid: jax.Array) -> jax.Array:
-    """The returns themselves. Right where a reward comes at the end alone: standardised within its
-    episode, a lost game is as good as a won one. Adam forgets their scale.
+    """The returns themselves, 0 where not valid: advantages ``[N, T]``. Right where a reward comes
+    at the end alone: standardised within its episode, a lost game is as good as a won one. Adam
+    forgets their scale.
 
     Args:
         returns: of each step on, ``[N, T]``.
         valid: bool ``[N, T]``, which steps there are.
-
-    Returns:
-        Advantages ``[N, T]``, 0 where not valid.
     """
     return jnp.where(valid, returns, 0)
 
