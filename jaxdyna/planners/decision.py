@@ -29,15 +29,10 @@ class Guide(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What to do now.
+    """What to do now."""
 
-    Attributes:
-        action: int32 scalar.
-        value: the discounted return that the planner expects, scalar.
-    """
-
-    action: jax.Array
-    value: jax.Array
+    action: jax.Array  #: int32 scalar
+    value: jax.Array  #: the discounted return that the planner expects, scalar
 
 
 class Planner(Protocol):

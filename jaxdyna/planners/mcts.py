@@ -65,14 +65,8 @@ def gumbel_muzero(env: Environment, config: SearchConfig) -> Planner:
 
 
 def muzero(env: Environment, config: SearchConfig) -> Planner:
-    """Search by upper confidence bounds under the prior (Schrittwieser et al. 2020).
-
-    Args:
-        env: the world to plan in: a true or a learned environment.
-        config: the program's settings.
-
-    Raises:
-        ImportError: without mctx.
+    """Search by upper confidence bounds under the prior (Schrittwieser et al. 2020) in ``env``, a
+    true or a learned environment; `ImportError` without mctx.
     """
     mctx = require_mctx()
 
@@ -85,8 +79,7 @@ def muzero(env: Environment, config: SearchConfig) -> Planner:
     return _planner(mctx, env, config, search)
 
 
-WORST = -1e6
-"""What a reward or value that is not finite counts as."""
+WORST = -1e6  #: what a reward or value that is not finite counts as
 
 
 def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable) -> Planner:
@@ -147,11 +140,7 @@ def _singles(numbers: Any) -> Any:
 
 
 def require_mctx() -> Any:
-    """The module mctx.
-
-    Raises:
-        ImportError: with what to install.
-    """
+    """The module mctx; `ImportError` with what to install."""
     try:
         import mctx  # noqa: PLC0415 - only this module needs it, and only when it is used
     except ImportError as error:

@@ -65,8 +65,8 @@ def score(
     env: Environment, env_params: Any, obs: jax.Array, state: Any, actions: jax.Array, key: Key,
     discount: float = 1.0, value: Value | None = None,
 ) -> jax.Array:  # fmt: skip
-    """The return of a sequence of actions: the discounted rewards up to the end of the episode and
-    ``value`` of where it is left, unless the world has ended there.
+    """The return, a scalar, of a sequence of actions: the discounted rewards up to the end of the
+    episode and ``value`` of where it is left, unless the world has ended there.
 
     Args:
         env: the world, true or learned.
@@ -77,9 +77,6 @@ def score(
         key: random key.
         discount: scalar in [0, 1].
         value: of where it is left; None: 0.
-
-    Returns:
-        A scalar.
     """
     key_steps, key_value = jax.random.split(key)
 

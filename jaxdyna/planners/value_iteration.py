@@ -13,17 +13,12 @@ from jaxdyna.envs.maze import MOVES, Maze, MazeParams, MazeState
 
 
 class Plan(NamedTuple):
-    """The best that can be done from one start state.
+    """The best that can be done from one start state."""
 
-    Attributes:
-        best_return: undiscounted return of the optimal policy, scalar.
-        action: int32 ``[T, size, size]``: the optimal action at each time and cell of the agent.
-        value: float32 ``[T + 1, size, size]``: the optimal return still to come.
-    """
-
-    best_return: jax.Array
+    best_return: jax.Array  #: undiscounted return of the optimal policy, scalar
+    #: int32 ``[T, size, size]``: the optimal action at each time and cell of the agent
     action: jax.Array
-    value: jax.Array
+    value: jax.Array  #: float32 ``[T + 1, size, size]``: the optimal return still to come
 
 
 def solve_maze(env: Maze, state: MazeState, params: MazeParams, num_steps: int) -> Plan:
