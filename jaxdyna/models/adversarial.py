@@ -48,17 +48,12 @@ class AdversaryConfig(Checked):
 
 
 class Adversary(NamedTuple):
-    """A judge of predicted frames that learns beside the model.
+    """A judge of predicted frames that learns beside the model."""
 
-    Attributes:
-        init: ``(key, hparams) -> state``.
-        unmasked: ``(state, made [N, H, W, C]) -> loss [N]``: how surely each predicted frame is
-            seen through.
-        update: ``(state, made, truth, weight [N], hparams) -> (state, metrics)``: one step.
-    """
-
-    init: Callable[[Key, Any], Any]
+    init: Callable[[Key, Any], Any]  #: ``(key, hparams) -> state``
+    #: ``(state, made [N, H, W, C]) -> loss [N]``: how surely each predicted frame is seen through
     unmasked: Callable[[Any, jax.Array], jax.Array]
+    #: ``(state, made, truth, weight [N], hparams) -> (state, metrics)``: one step
     update: Callable[..., tuple[Any, dict[str, jax.Array]]]
 
 

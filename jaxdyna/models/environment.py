@@ -120,7 +120,6 @@ class LearnedEnvironment(Checked):
 
     @property
     def num_actions(self) -> int:
-        """As the real one's."""
         return self.real.num_actions
 
     def reset(self, key: Key, params: LearnedParams) -> tuple[jax.Array, LearnedState]:
@@ -158,9 +157,7 @@ class LearnedEnvironment(Checked):
         return enlarge(frame, max(1, 256 // max(frame.shape)))
 
     def observation_space(self, params: LearnedParams) -> Any:
-        """As the real one's."""
         return self.real.observation_space(self.real.default_params)
 
     def action_space(self, params: LearnedParams) -> Any:
-        """As the real one's."""
         return self.real.action_space(self.real.default_params)

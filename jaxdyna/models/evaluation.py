@@ -9,22 +9,13 @@ import jax.numpy as jnp
 from jaxdyna.models.environment import as_observed
 from jaxdyna.types import Key, Prediction, Transition
 
-HALF = 127
-"""Up to this shade of 255 a pixel counts as dark."""
+HALF = 127  #: up to this shade of 255 a pixel counts as dark
 Predict = Callable[[Any, jax.Array, jax.Array, Key], Prediction]
 
 
 def one_step(predict: Predict, params: Any, transitions: Transition, key: Key) -> Prediction:
-    """Predictions from the true observations.
-
-    Args:
-        predict: a model's.
-        params: its parameters.
-        transitions: with leading axes ``[N, T]``.
-        key: random key.
-
-    Returns:
-        A `Prediction` ``[N, T, ...]``.
+    """Predictions ``[N, T, ...]`` from the true observations of transitions ``[N, T]``; ``predict``
+    is a model's, ``params`` are its parameters.
     """
     keys = jax.random.split(key, transitions.mask.shape)
     over_time = jax.vmap(predict, (None, 0, 0, 0))
@@ -34,17 +25,8 @@ def one_step(predict: Predict, params: Any, transitions: Transition, key: Key) -
 def open_loop(
     predict: Predict, params: Any, obs: jax.Array, action: jax.Array, key: Key
 ) -> Prediction:
-    """Predictions fed back as the next input, under given actions.
-
-    Args:
-        predict: a model's.
-        params: its parameters.
-        obs: where it starts, ``[*obs]``.
-        action: int ``[T]``.
-        key: random key.
-
-    Returns:
-        A `Prediction` ``[T, ...]``; it goes on past any predicted end.
+    """Predictions ``[T, ...]`` fed back as the next input, from ``obs [*obs]`` on, under given
+    actions, int ``[T]``; they go on past any predicted end.
     """
 
     def step(carry, action):

@@ -56,7 +56,8 @@ def rectangles(
     config: RectangleConfig,
     num_frames: int = 4,
 ) -> DynamicsModel:
-    """A model of stacked frames in each of whose channels one rectangle is lit, or nothing.
+    """A model of stacked frames in each of whose channels one rectangle is lit, or nothing;
+    `ValueError` where ``config.groups`` are not the channels.
 
     The arguments are those of `jaxdyna.models.pixels`; a pixel is lit from 128 on.
 
@@ -64,9 +65,6 @@ def rectangles(
         A `DynamicsModel` whose hparams have a ``learning_rate``. ``predict`` returns the next
         stack, its new frame with every channel 0 or 255, one of ``config.rewards``, no end, and for
         the uncertainty the number of edges that it expects to be wrong.
-
-    Raises:
-        ValueError: where ``groups`` are not the channels.
     """
     check_counts(num_actions=num_actions, num_frames=num_frames)
     module, (height, width, channels) = _module(frame_shape, config), frame_shape
@@ -99,10 +97,8 @@ def rectangle_probability(
     frame_shape: tuple[int, int, int], num_actions: int, config: RectangleConfig
 ) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
     """What a model of `rectangles` with these arguments believes of each pixel, the things of
-    earlier groups taken to be where they are likeliest.
-
-    Returns:
-        ``(params, obs [N, H, W, C * frames], action [N]) -> [N, H, W, C]`` in [0, 1].
+    earlier groups taken to be where they are likeliest:
+    ``(params, obs [N, H, W, C * frames], action [N]) -> [N, H, W, C]`` in [0, 1].
     """
     module = _module(frame_shape, config)
 
@@ -176,14 +172,8 @@ def _learner(
 
 
 def surprise(odds: EdgeOdds, truth: Rectangles) -> jax.Array:
-    """The cross-entropy of each thing: whether it is there and, where it is, of its four edges.
-
-    Args:
-        odds: what is believed, ``[N, C]``.
-        truth: what there is, ``[N, C]``.
-
-    Returns:
-        ``[N, C]``, in nats.
+    """The cross-entropy of each thing, in nats: whether it is there and, where it is, of its four
+    edges; what is believed, what there is and the outcome are all ``[N, C]``.
     """
     places = jnp.concatenate(
         [-_at(odds.rows, truth.edge[..., :2]), -_at(odds.columns, truth.edge[..., 2:])], axis=-1

@@ -74,7 +74,8 @@ def pixels(
     frame_shape: tuple[int, int, int], num_actions: int, config: PixelConfig | None = None,
     num_frames: int = 4, adversary: Adversary | None = None,
 ) -> DynamicsModel:  # fmt: skip
-    """A model of worlds that are seen as stacked frames.
+    """A model of worlds that are seen as stacked frames; `ValueError` where the network predicts
+    pictures of another shape.
 
     Args:
         frame_shape: ``(height, width, channels)`` of one frame.
@@ -88,9 +89,6 @@ def pixels(
         A `DynamicsModel` whose hparams are `PixelHParams`, with an adversary `AdversarialHParams`;
         ``predict`` returns the next stack, its new frame with every channel 0 or 255, or in
         shades. The uncertainty is the number of pixels that it expects to be wrong.
-
-    Raises:
-        ValueError: where the network predicts pictures of another shape.
     """
     config = config or PixelConfig()
     module = FrameModel(config.network, config.reward, config.terminates)
@@ -213,10 +211,8 @@ def _weigh(
 def frame_probability(
     num_actions: int, config: PixelConfig
 ) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
-    """What a model of `pixels` with these arguments believes before any threshold.
-
-    Returns:
-        ``(params, obs [N, H, W, C * frames], action [N]) -> [N, H, W, C]`` in [0, 1].
+    """What a model of `pixels` with these arguments believes before any threshold:
+    ``(params, obs [N, H, W, C * frames], action [N]) -> [N, H, W, C]`` in [0, 1].
     """
     module = FrameModel(config.network, config.reward, config.terminates)
 

@@ -67,17 +67,11 @@ class SupervisedConfig(Checked):
 
 @struct.dataclass
 class Moments:
-    """Running mean and standard deviation of a vector.
+    """Running mean and standard deviation of a vector."""
 
-    Attributes:
-        mean: ``[n]``.
-        variance: running variance, ``[n]``.
-        batches: how many batches went in.
-    """
-
-    mean: jax.Array
-    variance: jax.Array
-    batches: jax.Array
+    mean: jax.Array  #: ``[n]``
+    variance: jax.Array  #: running variance, ``[n]``
+    batches: jax.Array  #: how many batches went in
 
     @property
     def std(self) -> jax.Array:
