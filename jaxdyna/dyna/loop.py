@@ -30,17 +30,12 @@ luck (``docs/development-log.md``).
 
 
 def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], DynaState]:
-    """A run before its first episode.
+    """A run before its first episode: ``init(key, hparams) -> state``. `ValueError` where the parts
+    do not fit each other; of ``init`` also where hyper-parameters do not.
 
     Args:
         dyna: the parts.
         config: its counts.
-
-    Returns:
-        ``init(key, hparams) -> state``.
-
-    Raises:
-        ValueError: where the parts do not fit each other; ``init`` likewise, and hyper-parameters.
     """
     check_parts(dyna, config)
 
@@ -72,11 +67,10 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
 def make_advance(
     dyna: Dyna, config: DynaConfig, axes: tuple[str, ...] = ()
 ) -> Callable[[DynaState, jax.Array, DynaHParams], tuple[DynaState, Metrics]]:
-    """Some real episodes with their dreams. A run cut into pieces is the same run.
+    """Some real episodes with their dreams. A run cut into pieces is the same run. ``dyna`` and
+    ``config`` as of `make_init`.
 
     Args:
-        dyna: the parts.
-        config: its counts.
         axes: names of the axes that runs are vmapped along (`jaxdyna.sweep.AXES`): then work that
             none of them needs costs nothing.
 
@@ -96,10 +90,8 @@ def make_advance(
 def make_step(
     dyna: Dyna, config: DynaConfig, axes: tuple[str, ...] = ()
 ) -> Callable[[DynaState, jax.Array, DynaHParams], tuple[DynaState, Metrics]]:
-    """One real episode of `make_advance`, which says what the arguments are.
-
-    Returns:
-        ``step(state, episode, hparams) -> (state, metrics)``; ``episode`` is its number, int.
+    """One real episode of `make_advance`, which says what the arguments are:
+    ``step(state, episode, hparams) -> (state, metrics)``; ``episode`` is its number, int.
     """
 
     def step(state: DynaState, episode: jax.Array, hparams: DynaHParams):
@@ -186,17 +178,8 @@ def make_train(
 def play_real(
     dyna: Dyna, config: DynaConfig, agent: Any, key: Key, hparams: DynaHParams
 ) -> tuple[Transition, Any]:
-    """One real episode of the agent.
-
-    Args:
-        dyna: the parts.
-        config: its counts.
-        agent: the agent's state.
-        key: random key.
-        hparams: its values.
-
-    Returns:
-        The episode ``[1, T]``, and what was recorded of it (`Dyna.record`).
+    """One real episode ``[1, T]``, and what was recorded of it (`Dyna.record`). Arguments as of
+    `make_init`; ``agent`` is the agent's state.
     """
 
     def act(obs: jax.Array, key: Key) -> jax.Array:
@@ -289,18 +272,9 @@ def train_model(
     hparams: DynaHParams,
 ) -> tuple[Any, Metrics]:  # fmt: skip
     """Gradient steps of the model on all that is remembered, each batch (of frames a large one)
-    taken in its turn.
-
-    Args:
-        dyna: the parts, a model and a memory among them.
-        config: its counts.
-        state: the run's, of which the model's state and the memory count.
-        key_sample: random key of the batches.
-        key_update: random key of the model's updates.
-        hparams: its values.
-
-    Returns:
-        The model's new state, and ``model_loss``, the mean of all steps.
+    taken in its turn: its new state, and ``model_loss``, the mean of all steps. Arguments as of
+    `make_init`, a model and a memory among the parts; of the run's ``state`` the model's and the
+    memory count.
     """
     memory: Any = dyna.memory
     shape, held = (config.model_updates, config.model_batch), memory.of(state)
@@ -324,18 +298,9 @@ def train_model(
 def play_dreams(
     dyna: Dyna, config: DynaConfig, agent: Any, env_params: Any, key: Key, hparams: DynaHParams
 ) -> Transition:
-    """Fake episodes to learn from once.
-
-    Args:
-        dyna: the parts, a dream among them.
-        config: its counts.
-        agent: the agent's state.
-        env_params: of the dream's environment, see `Dream.params`.
-        key: random key.
-        hparams: its values.
-
-    Returns:
-        ``[N, T, ...]``.
+    """Fake episodes ``[N, T, ...]`` to learn from once. Arguments as of `make_init`, a dream among
+    the parts; ``agent`` is the agent's state, ``env_params`` are of the dream's environment, see
+    `Dream.params`.
     """
     fake_act = dyna.agent.act_fake or dyna.agent.act
 

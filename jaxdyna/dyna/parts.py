@@ -93,23 +93,14 @@ def survived(episodes: Transition) -> jax.Array:
 
 @struct.dataclass
 class DynaState:
-    """A run between two real episodes; arrays only.
+    """A run between two real episodes; arrays only."""
 
-    Attributes:
-        agent: the agent's state.
-        model: the model's state, None without one.
-        replay: real transitions so far; None where they are not kept, or the agent keeps them.
-        starts: first observations of the real episodes so far, None where these are not kept.
-        dreams_safe: whether the last dreaming ended because its fake episodes were safe.
-        key: the random key of all that follows.
-    """
-
-    agent: Any
-    model: Any
-    replay: Any
-    starts: Any
-    dreams_safe: jax.Array
-    key: Key
+    agent: Any  #: the agent's state
+    model: Any  #: the model's state, None without one
+    replay: Any  #: real transitions so far; None where they are not kept, or the agent keeps them
+    starts: Any  #: first observations of the real episodes so far, None where these are not kept
+    dreams_safe: jax.Array  #: whether the last dreaming ended because its fake episodes were safe
+    key: Key  #: the random key of all that follows
 
 
 def check_parts(dyna: Dyna, config: DynaConfig) -> None:
