@@ -172,20 +172,14 @@ class ClassReward(Sized):
 
 
 class FrameModel(nn.Module):
-    """A network that predicts the next picture, with heads for the reward and the end.
+    """A network that predicts the next picture, with heads for the reward and the end."""
 
-    Attributes:
-        network: ``(stack, action, train, valid) -> (raw, features)``: `LocalDynamics`,
-            `EncoderDecoder`.
-        reward: ``(features, next_frame) -> (reward [N], charge [N])``, the charge to be added to
-            the loss: `LocalReward`, `JointReward`; or one with a loss of its own, `ClassReward`;
-            None for 0.
-        terminates: whether there is a head for the end.
-    """
-
+    #: ``(stack, action, train, valid) -> (raw, features)``: `LocalDynamics`, `EncoderDecoder`
     network: nn.Module
+    #: ``(features, next_frame) -> (reward [N], charge [N])``, the charge to be added to the loss:
+    #: `LocalReward`, `JointReward`; or one with a loss of its own, `ClassReward`; None for 0
     reward: nn.Module | None
-    terminates: bool
+    terminates: bool  #: whether there is a head for the end
 
     def setup(self) -> None:
         """The end's head."""

@@ -81,17 +81,11 @@ class MLP(Sized):
 
 
 class Convolution(Sized):
-    """A convolution of stride 1 with a bias, by `jaxdyna.networks.convolution.convolve`.
+    """A convolution of stride 1 with a bias, by `jaxdyna.networks.convolution.convolve`."""
 
-    Attributes:
-        features: channels of the output.
-        size: cells a side of the kernel.
-        padding: zeros around the picture; ``size - 1`` makes it a transposed convolution.
-    """
-
-    features: int
-    size: int
-    padding: int
+    features: int  #: channels of the output
+    size: int  #: cells a side of the kernel
+    padding: int  #: zeros around the picture; ``size - 1`` makes it a transposed convolution
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
@@ -105,14 +99,10 @@ class Convolution(Sized):
 class NormalisedConvolution(Sized):
     """A convolution without padding, whose features are normalised over the pictures at hand (Ioffe
     and Szegedy 2015), scaled and shifted, and ReLU. A bias would be taken off by the mean.
-
-    Attributes:
-        features: channels of the output.
-        size: cells a side of the kernel.
     """
 
-    features: int
-    size: int
+    features: int  #: channels of the output
+    size: int  #: cells a side of the kernel
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:

@@ -20,33 +20,22 @@ MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 class Resolution(NamedTuple):
-    """How finely places and moves are told, in cells.
+    """How finely places and moves are told, in cells."""
 
-    Attributes:
-        reach: the most rows and columns that a thing moves in a step; further it never goes.
-        longest: of a thing's length, that are told apart.
-        beside: by which things that touch are told to lie beside each other.
-        fast: a step, that the moves of things that touch are told by.
-        unit: that are 1 where moves are told as numbers.
-    """
-
+    #: the most rows and columns that a thing moves in a step; further it never goes
     reach: tuple[int, int] = (4, 4)
-    longest: int = 5
-    beside: int = 8
-    fast: int = 4
-    unit: float = 4.0
+    longest: int = 5  #: of a thing's length that are told apart
+    beside: int = 8  #: by which things that touch are told to lie beside each other
+    fast: int = 4  #: a step, by which the moves of things that touch are told
+    unit: float = 4.0  #: that are 1 where moves are told as numbers
 
 
 class Rectangles(NamedTuple):
-    """Of each channel the rectangle around all that is lit, leaves ``[..., C, ...]``.
+    """Of each channel the rectangle around all that is lit, leaves ``[..., C, ...]``."""
 
-    Attributes:
-        edge: first and last row, first and last column, int32 ``[..., 4]``; 0 where nothing is lit.
-        seen: whether anything is, bool.
-    """
-
+    #: first and last row, first and last column, int32 ``[..., 4]``; 0 where nothing is lit
     edge: jax.Array
-    seen: jax.Array
+    seen: jax.Array  #: whether anything is, bool
 
 
 def moves(past: Rectangles) -> jax.Array:
@@ -128,15 +117,8 @@ def near(x: jax.Array, first: int, last: int) -> jax.Array:
 
 
 def tiles(x: jax.Array, first: int, last: int) -> jax.Array:
-    """Whole numbers, one by one: 1 at the one that ``x`` is, or shared by its neighbours.
-
-    Args:
-        x: ``[...]``.
-        first: the least whole number.
-        last: the greatest.
-
-    Returns:
-        ``[..., last - first + 1]``.
+    """Whole numbers from ``first`` to ``last``, one by one, ``[..., last - first + 1]``: 1 at the
+    one that ``x [...]`` is, or shared by its neighbours.
     """
     return nn.relu(1 - jnp.abs(x[..., None] - jnp.arange(first, last + 1, dtype=x.dtype)))
 
@@ -145,8 +127,7 @@ def _flat(parts: list[jax.Array]) -> jax.Array:
     return jnp.concatenate([part.reshape(len(part), -1) for part in parts], axis=-1)
 
 
-UNLIKELY = -30.0
-"""Log odds of an edge further away than a thing can move."""
+UNLIKELY = -30.0  #: log odds of an edge further away than a thing can move
 
 
 def rectangles_of(stack: jax.Array, channels: int) -> Rectangles:
@@ -180,17 +161,11 @@ def drawn(there: Rectangles, size: tuple[int, int]) -> jax.Array:
 
 
 class EdgeOdds(NamedTuple):
-    """What is believed of the next picture's rectangles, leaves ``[N, C, ...]``.
+    """What is believed of the next picture's rectangles, leaves ``[N, C, ...]``."""
 
-    Attributes:
-        rows: logarithms of how likely each row is the first and the last, ``[2, H]``.
-        columns: likewise, ``[2, W]``.
-        seen: log odds that there is any.
-    """
-
-    rows: jax.Array
-    columns: jax.Array
-    seen: jax.Array
+    rows: jax.Array  #: logarithms of how likely each row is the first and the last, ``[2, H]``
+    columns: jax.Array  #: likewise, ``[2, W]``
+    seen: jax.Array  #: log odds that there is any
 
 
 class RectangleDynamics(nn.Module):
@@ -200,22 +175,15 @@ class RectangleDynamics(nn.Module):
     A perceptron decides, group of channels after group, from what `jaxdyna.networks.objects` tells
     it: the things that are decided go where they have been put, the others on as they did, so that
     a thing that bounces off another one agrees with where that one is.
-
-    Attributes:
-        size: of the picture, ``(height, width)``.
-        told: how finely.
-        groups: the channels that are decided together, one group after the other.
-        hidden: widths of each group's perceptron.
-        dropout: share of the features that a step of training does without.
-        rewards: kinds of rewards that are told apart.
     """
 
-    size: tuple[int, int]
-    told: Resolution
+    size: tuple[int, int]  #: of the picture, ``(height, width)``
+    told: Resolution  #: how finely
+    #: the channels that are decided together, one group after the other
     groups: tuple[tuple[int, ...], ...]
-    hidden: tuple[int, ...] = (256, 256)
-    dropout: float = 0.0
-    rewards: int = 3
+    hidden: tuple[int, ...] = (256, 256)  #: widths of each group's perceptron
+    dropout: float = 0.0  #: share of the features that a step of training does without
+    rewards: int = 3  #: kinds of rewards that are told apart
 
     @nn.compact
     def __call__(
