@@ -24,35 +24,24 @@ from jaxdyna.types import Key, Transition, check_transitions
 
 @struct.dataclass
 class FrameReplay:
-    """The buffer. Transition ``i`` lies at ``i % capacity``, episode ``e`` at ``e % episodes``.
+    """The buffer. Transition ``i`` lies at ``i % capacity``, episode ``e`` at ``e % episodes``."""
 
-    Attributes:
-        frame: the newest frame of ``obs``, ``[capacity, H, W, C]``, in the frames' own type.
-        rest: everything else of a transition: action, reward, terminated, truncated, mask and,
-            where it has one, weight, ``[capacity]``.
-        time: int32 ``[capacity]``, steps since the episode began.
-        episode: int32 ``[capacity]``, its number.
-        older: the frames under each episode's first, ``[episodes, H, W, C * (num_frames - 1)]``.
-        last_frame: the frame after each episode's last action, ``[episodes, H, W, C]``.
-        added: int32, transitions ever added.
-        episodes_added: int32, episodes ever added.
-        first: int32 ``[episodes]``, number of each episode's first transition.
-        beside: what else is kept of a transition, such as the environment's state; leaves
-            ``[capacity, ...]``.
-        num_frames: frames in a stack; not an array.
-    """
-
+    #: the newest frame of ``obs``, ``[capacity, H, W, C]``, in the frames' own type
     frame: jax.Array
+    #: everything else of a transition: action, reward, terminated, truncated, mask and, where it
+    #: has one, weight, ``[capacity]``
     rest: dict[str, jax.Array]
-    time: jax.Array
-    episode: jax.Array
+    time: jax.Array  #: int32 ``[capacity]``, steps since the episode began
+    episode: jax.Array  #: int32 ``[capacity]``, its number
+    #: the frames under each episode's first, ``[episodes, H, W, C * (num_frames - 1)]``
     older: jax.Array
-    last_frame: jax.Array
-    added: jax.Array
-    episodes_added: jax.Array
-    first: jax.Array
+    last_frame: jax.Array  #: the frame after each episode's last action, ``[episodes, H, W, C]``
+    added: jax.Array  #: int32, transitions ever added
+    episodes_added: jax.Array  #: int32, episodes ever added
+    first: jax.Array  #: int32 ``[episodes]``, number of each episode's first transition
+    #: what else is kept of each, such as the environment's state: leaves ``[capacity, ...]``
     beside: Any
-    num_frames: int = struct.field(pytree_node=False)
+    num_frames: int = struct.field(pytree_node=False)  #: frames in a stack; not an array
 
     @property
     def capacity(self) -> int:
@@ -87,7 +76,8 @@ class FrameReplay:
 def init(
     capacity: int, episodes: int, example: Transition, num_frames: int = 4, beside: Any = ()
 ) -> FrameReplay:
-    """An empty buffer.
+    """An empty buffer; `ValueError` where a count is not positive or the channels do not divide
+    into frames.
 
     Args:
         capacity: the most transitions held.
@@ -97,9 +87,6 @@ def init(
             ``[..., C * num_frames]``: of frames ``[H, W, C]``, or of vectors ``[C]``.
         num_frames: frames in a stack.
         beside: what else is kept of one transition, likewise.
-
-    Raises:
-        ValueError: where a count is not positive or the channels do not divide into frames.
     """
     check_counts(capacity=capacity, episodes=episodes, num_frames=num_frames)
     *lead, depth = example.obs.shape

@@ -11,18 +11,12 @@ from jaxdyna.types import Transition
 
 
 class Window(NamedTuple):
-    """What n-step learning takes of a few successive transitions (Sutton and Barto 2018, §7.1).
+    """What n-step learning takes of a few successive transitions (Sutton and Barto 2018, §7.1)."""
 
-    Attributes:
-        first: the first of them, a `Transition` ``[...]``.
-        reward: their discounted sum, up to the end of the episode, ``[...]``.
-        last_obs: the observation after the last of them, ``[..., *obs]``.
-        discount: of the value there: ``discount ** length``, 0 where the episode terminated.
-    """
-
-    first: Transition
-    reward: jax.Array
-    last_obs: jax.Array
+    first: Transition  #: the first of them, a `Transition` ``[...]``
+    reward: jax.Array  #: their discounted sum, up to the end of the episode, ``[...]``
+    last_obs: jax.Array  #: the observation after the last of them, ``[..., *obs]``
+    #: of the value there: ``discount ** length``, 0 where the episode terminated
     discount: jax.Array
 
 

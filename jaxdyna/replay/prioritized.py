@@ -16,15 +16,11 @@ SMALLEST_ERROR = 1e-3
 
 @struct.dataclass
 class Prioritized:
-    """A replay of frames with priorities.
+    """A replay of frames with priorities."""
 
-    Attributes:
-        memory: the transitions.
-        priority: ``[capacity]``, what each position's probability is in proportion to; 0 where
-            there is nothing to draw.
-    """
-
-    memory: FrameReplay
+    memory: FrameReplay  #: the transitions
+    #: ``[capacity]``, what each position's probability is in proportion to; 0 where there is
+    #: nothing to draw
     priority: jax.Array
 
     @property

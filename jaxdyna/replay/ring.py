@@ -13,15 +13,11 @@ ROW = 256
 
 @struct.dataclass
 class Replay:
-    """The buffer.
+    """The buffer."""
 
-    Attributes:
-        data: every leaf ``[capacity, ...]``.
-        added: int32, how many items were added; item ``i`` lies at ``i % capacity``. Once it is
-            full, a multiple of the capacity is left out.
-    """
-
-    data: PyTree
+    data: PyTree  #: every leaf ``[capacity, ...]``
+    #: int32, how many items were added; item ``i`` lies at ``i % capacity``. Once it is full, a
+    #: multiple of the capacity is left out.
     added: jax.Array
 
     @property
@@ -42,9 +38,7 @@ class Replay:
 
 def init(capacity: int, example: PyTree) -> Replay:
     """An empty buffer for items like the example: arrays, or anything with ``shape`` and ``dtype``.
-
-    Raises:
-        ValueError: where ``capacity`` is not positive.
+    `ValueError` where ``capacity`` is not positive.
     """
     check_counts(capacity=capacity)
     data = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), example)
@@ -87,11 +81,8 @@ def add(replay: Replay, items: PyTree, mask: jax.Array) -> Replay:
 
 
 def check_type(held: jax.Array, new: jax.Array) -> None:
-    """Refuses to store floats as whole numbers: frames in [0, 1] would become zeros; and items
-    ``new [..., *item]`` of another shape.
-
-    Raises:
-        TypeError: with what to change.
+    """Refuses by a `TypeError` to store floats as whole numbers: frames in [0, 1] would become
+    zeros; and items ``new [..., *item]`` of another shape.
     """
     item = held.shape[1:]
     if new.shape[new.ndim - len(item) :] != item:
@@ -108,7 +99,7 @@ def check_type(held: jax.Array, new: jax.Array) -> None:
 def sample(
     replay: Replay, key: Key, shape: tuple[int, ...], weight: jax.Array | None = None
 ) -> PyTree:
-    """Draws items with replacement.
+    """Draws items with replacement: every leaf ``[*shape, ...]``.
 
     Args:
         replay: a buffer; an empty one yields its zeros where it is traced, so check ``size`` or
@@ -117,9 +108,6 @@ def sample(
         shape: how many, as leading axes.
         weight: ``[capacity]``, what each item's probability is in proportion to, as `share_weight`
             makes it; uniform without.
-
-    Returns:
-        Every leaf ``[*shape, ...]``.
     """
     if not isinstance(replay.added, jax.core.Tracer) and not replay.added:
         raise ValueError("the replay is empty: add to it before it is sampled")
@@ -154,17 +142,14 @@ def sample_distinct(replay: Replay, key: Key, count: int) -> PyTree:
 
 
 def share_weight(held: jax.Array, marked: jax.Array, share: jax.Array | float) -> jax.Array:
-    """Weights for `sample` that give each kind of the marked items at least an equal part of
-    ``share`` of the draws: rare ones are seen often enough to be learned, ones that have become
-    common as often as they come.
+    """Weights ``[capacity]`` for `sample`, 0 for what is not held, that give each kind of the
+    marked items at least an equal part of ``share`` of the draws: rare ones are seen often enough
+    to be learned, ones that have become common as often as they come.
 
     Args:
         held: bool ``[capacity]``, such as `Replay.held`.
         marked: bool ``[capacity]``, or ``[kinds, capacity]``, no item of two kinds.
         share: between 0 and 1.
-
-    Returns:
-        ``[capacity]``, 0 for what is not held.
     """
     kinds = held & jnp.atleast_2d(marked)
     other = held & ~kinds.any(0)
