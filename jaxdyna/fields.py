@@ -41,21 +41,13 @@ class SettingError(ValueError):
 
 
 class Range(NamedTuple):
-    """Where a number may lie; NaN is outside of every range.
+    """Where a number may lie; NaN is outside of every range."""
 
-    Attributes:
-        low: the least, None without one.
-        high: the most, None without one.
-        above: whether ``low`` itself is excluded.
-        below: whether ``high`` itself is excluded.
-        infinite: whether infinity is allowed.
-    """
-
-    low: float | None = None
-    high: float | None = None
-    above: bool = False
-    below: bool = False
-    infinite: bool = False
+    low: float | None = None  #: the least, None without one
+    high: float | None = None  #: the most, None without one
+    above: bool = False  #: whether ``low`` itself is excluded
+    below: bool = False  #: whether ``high`` itself is excluded
+    infinite: bool = False  #: whether infinity is allowed
 
     def holds(self, value: Any) -> bool:
         """Whether it does."""
@@ -76,29 +68,17 @@ class Range(NamedTuple):
 
 
 class Leaf(NamedTuple):
-    """One setting of a tree of them.
+    """One setting of a tree of them."""
 
-    Attributes:
-        help: its sentence.
-        range: where it may lie.
-        everyday: whether it is an everyday one.
-        choices: what can be chosen, by name.
-        empty: whether it may be an empty tuple.
-        path: dotted.
-        value: as it is.
-        default: as declared, `MISSING` where it is made.
-        hint: its type.
-    """
-
-    help: str = ""
-    range: Range = Range()
-    everyday: bool = False
-    choices: Mapping[str, Any] = {}
-    empty: bool = True
-    path: str = ""
-    value: Any = None
-    default: Any = MISSING
-    hint: Any = Any
+    help: str = ""  #: its sentence
+    range: Range = Range()  #: where it may lie
+    everyday: bool = False  #: whether it is an everyday one
+    choices: Mapping[str, Any] = {}  #: what can be chosen, by name
+    empty: bool = True  #: whether it may be an empty tuple
+    path: str = ""  #: dotted
+    value: Any = None  #: as it is
+    default: Any = MISSING  #: as declared, `MISSING` where it is made
+    hint: Any = Any  #: its type
 
 
 def setting(
@@ -148,9 +128,7 @@ def leaves(settings: Any, prefix: str = "") -> Iterator[Leaf]:
 def check(settings: Any, prefix: str = "") -> None:
     """Checks every value against its type, numbers against their range too, those of an array as
     well, and text against its choices. Tracers pass, and so do functions and other objects.
-
-    Raises:
-        SettingError: naming the first that cannot be, and what can.
+    `SettingError` names the first that cannot be, and what can.
     """
     for leaf in leaves(settings, prefix):
         if wanted := _wanted_instead(leaf):
@@ -227,10 +205,8 @@ def _counts(value: Any, at_least: int) -> bool:
 
 
 def changed(settings: T, overrides: Mapping[str, Any]) -> T:
-    """The settings with others at some dotted paths. They are checked once all are in place.
-
-    Raises:
-        SettingError: where a path names no setting, or a value cannot be.
+    """The settings with others at some dotted paths. They are checked once all are in place;
+    `SettingError` where a path names no setting, or a value cannot be.
     """
     for path in overrides:
         value_at(settings, path)
@@ -253,11 +229,7 @@ def _changed(settings: T, overrides: Mapping[str, Any]) -> T:
 
 
 def value_at(settings: Any, path: str) -> Any:
-    """The setting at a dotted path.
-
-    Raises:
-        SettingError: where there is none.
-    """
+    """The setting at a dotted path; `SettingError` where there is none."""
     value = settings
     for name in path.split("."):
         if not _is_settings(value) or all(name != item.name for item in dataclasses.fields(value)):
@@ -290,10 +262,8 @@ def plain(value: Any) -> Any:
 
 def restored(like: T, said: Mapping[str, Any]) -> T:
     """The settings that `plain` turned into JSON; what it does not name stays as in ``like``, and
-    so does what is called the same there.
-
-    Raises:
-        SettingError: where it names what there is not, or a value cannot be.
+    so does what is called the same there. `SettingError` where it names what there is not, or a
+    value cannot be.
     """
     known = {leaf.path: leaf for leaf in leaves(like)}
 

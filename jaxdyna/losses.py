@@ -10,14 +10,12 @@ import optax
 
 
 def discounted_returns(reward: jax.Array, discount: jax.Array | float) -> jax.Array:
-    """The return from every step on: ``G_t = r_t + discount * G_{t+1}``.
+    """The return ``[T]`` from every step on: ``G_t = r_t + discount * G_{t+1}``. Nothing is
+    bootstrapped at the end (Williams 1992, REINFORCE).
 
     Args:
         reward: ``[T]``, zero after the end of the episode.
         discount: scalar in [0, 1].
-
-    Returns:
-        ``[T]``. Nothing is bootstrapped at the end (Williams 1992, REINFORCE).
     """
     chex.assert_rank([reward, discount], [1, 0])
 
@@ -31,14 +29,9 @@ def discounted_returns(reward: jax.Array, discount: jax.Array | float) -> jax.Ar
 
 
 def standardise(values: jax.Array, mask: jax.Array) -> jax.Array:
-    """Shifts and scales to mean 0 and standard deviation 1 where ``mask`` is true.
-
-    Args:
-        values: any shape.
-        mask: bool, the same shape.
-
-    Returns:
-        The same shape, 0 where masked out. A lone value, or equal ones, become 0.
+    """Shifts and scales to mean 0 and standard deviation 1 where ``mask`` is true, 0 elsewhere; a
+    lone value, or equal ones, become 0. ``values`` have any shape, the bool ``mask`` and the
+    outcome the same.
     """
     chex.assert_type(mask, bool)
     chex.assert_equal_shape([values, mask])
@@ -52,16 +45,14 @@ def standardise(values: jax.Array, mask: jax.Array) -> jax.Array:
 def policy_gradient(
     logits: jax.Array, action: jax.Array, advantage: jax.Array, weight: jax.Array
 ) -> jax.Array:
-    """REINFORCE's surrogate loss ``-sum_t weight_t * advantage_t * log pi(a_t | s_t)``.
+    """REINFORCE's surrogate loss ``-sum_t weight_t * advantage_t * log pi(a_t | s_t)``, a scalar
+    (Williams 1992).
 
     Args:
         logits: ``[T, actions]``.
         action: int ``[T]``.
         advantage: ``[T]``, treated as a constant.
         weight: ``[T]``, 0 on padding.
-
-    Returns:
-        A scalar (Williams 1992).
     """
     chex.assert_rank([logits, action, advantage, weight], [2, 1, 1, 1])
     chex.assert_type(action, int)
@@ -74,20 +65,14 @@ def clipped_policy_gradient(
     logits: jax.Array, action: jax.Array, advantage: jax.Array, weight: jax.Array,
     before: jax.Array, clip: float = 0.2,
 ) -> jax.Array:  # fmt: skip
-    """PPO's surrogate loss ``-sum_t weight_t * min(r_t A_t, clip(r_t, 1 - clip, 1 + clip) A_t)``
-    with the ratio ``r_t = pi(a_t | s_t) / pi_before(a_t | s_t)``, for steps that an earlier policy
-    has played; at that policy its gradient is that of `policy_gradient`.
+    """PPO's surrogate loss ``-sum_t weight_t * min(r_t A_t, clip(r_t, 1 - clip, 1 + clip) A_t)``, a
+    scalar (Schulman et al. 2017, Eq. 7), with the ratio
+    ``r_t = pi(a_t | s_t) / pi_before(a_t | s_t)``, for steps that an earlier policy has played; at
+    that policy its gradient is that of `policy_gradient`, which says what the other arguments are.
 
     Args:
-        logits: ``[T, actions]``.
-        action: int ``[T]``.
-        advantage: ``[T]``, treated as a constant.
-        weight: ``[T]``, 0 on padding.
         before: the earlier policy's logits, ``[T, actions]``, a constant.
         clip: how far the ratio may go from 1 before it earns nothing more.
-
-    Returns:
-        A scalar (Schulman et al. 2017, Eq. 7).
     """
     chex.assert_rank([logits, action, advantage, weight, before], [2, 1, 1, 1, 2])
     chex.assert_type(action, int)
@@ -103,7 +88,8 @@ def td_error(
     values: jax.Array, action: jax.Array, reward: jax.Array, discount: jax.Array,
     next_values: jax.Array, next_choice: jax.Array,
 ) -> jax.Array:  # fmt: skip
-    """Error of Q-learning, ``reward + discount * Q'(s', argmax_a choice(s', a)) - Q(s, a)``.
+    """Q-learning's error, a scalar:
+    ``reward + discount * Q'(s', argmax_a choice(s', a)) - Q(s, a)``.
 
     Args:
         values: Q of the state, ``[actions]``.
@@ -113,9 +99,6 @@ def td_error(
         next_values: the target network's Q of the state after, ``[actions]``, a constant.
         next_choice: what the next action is chosen by: the online network's Q for Double DQN (van
             Hasselt et al. 2016), ``next_values`` itself for DQN (Mnih et al. 2015).
-
-    Returns:
-        A scalar.
     """
     chex.assert_rank([values, action, reward, discount], [1, 0, 0, 0])
     chex.assert_type(action, int)
@@ -154,17 +137,14 @@ def transition_loss(
 
 
 class PixelLoss(NamedTuple):
-    """A loss of a predicted picture (§3.2), and how its raw output is to be read.
+    """A loss of a predicted picture (§3.2), and how its raw output is to be read."""
 
-    Attributes:
-        error: ``(raw, truth) -> [...]``, the loss of each pixel; the truth lies in [0, 1].
-        probability: ``raw -> [...]`` in [0, 1]: how much the pixel is believed to be lit.
-        picture: ``raw -> [...]``: what another network that judges pictures is shown; the
-            probability where that has a gradient everywhere, else ``raw`` itself.
-    """
-
+    #: ``(raw, truth) -> [...]``, the loss of each pixel; the truth lies in [0, 1]
     error: Callable[[jax.Array, jax.Array], jax.Array]
+    #: ``raw -> [...]`` in [0, 1]: how much the pixel is believed to be lit
     probability: Callable[[jax.Array], jax.Array]
+    #: ``raw -> [...]``: what another network that judges pictures is shown; the probability where
+    #: that has a gradient everywhere, else ``raw`` itself
     picture: Callable[[jax.Array], jax.Array] = lambda raw: raw
 
 
@@ -172,37 +152,23 @@ def _clipped(raw: jax.Array) -> jax.Array:
     return jnp.clip(raw, 0, 1)
 
 
-l1 = PixelLoss(lambda raw, truth: jnp.abs(raw - truth), _clipped)
-"""``|x - y|``."""
-
-l2 = PixelLoss(lambda raw, truth: 0.5 * jnp.square(raw - truth), _clipped)
-"""``(x - y)² / 2``."""
+l1 = PixelLoss(lambda raw, truth: jnp.abs(raw - truth), _clipped)  #: ``|x - y|``
+l2 = PixelLoss(lambda raw, truth: 0.5 * jnp.square(raw - truth), _clipped)  #: ``(x - y)² / 2``
 
 bce = PixelLoss(optax.sigmoid_binary_cross_entropy, jax.nn.sigmoid, jax.nn.sigmoid)
 """The multi-label binary cross-entropy: every pixel is a label of its own."""
 
 
 def deceive(fake_logit: jax.Array) -> jax.Array:
-    """The generator's loss ``-log D(G(z))``, the non-saturating one (Goodfellow et al. 2014).
-
-    Args:
-        fake_logit: the discriminator's log odds that a made picture is a true one, any shape.
-
-    Returns:
-        The same shape.
+    """The generator's loss ``-log D(G(z))``, the non-saturating one (Goodfellow et al. 2014), by
+    the discriminator's log odds, of any shape, that a made picture is a true one.
     """
     return jax.nn.softplus(-fake_logit)
 
 
 def discern(real_logit: jax.Array, fake_logit: jax.Array) -> jax.Array:
-    """The discriminator's loss ``-log D(x) - log(1 - D(G(z)))`` (§4.3).
-
-    Args:
-        real_logit: the discriminator's log odds that a true picture is one, any shape.
-        fake_logit: that a made picture is one, the same shape.
-
-    Returns:
-        The same shape.
+    """The discriminator's loss ``-log D(x) - log(1 - D(G(z)))`` (§4.3) by its log odds that a true
+    picture is one, and that a made picture is one; all three have the same shape.
     """
     chex.assert_equal_shape([real_logit, fake_logit])
     return jax.nn.softplus(-real_logit) + jax.nn.softplus(fake_logit)

@@ -15,10 +15,8 @@ from jaxdyna.fields import Checked, check_counts, setting
 
 Summary = dict[str, Any]
 INFINITE = 1e30
-MOST_ERRORS = 1e3
-"""An end that is so many standard errors away is no end."""
-FEW = 5
-"""Runs of which there is no honest interval: their points are all that can be said."""
+MOST_ERRORS = 1e3  #: an end that is so many standard errors away is no end
+FEW = 5  #: runs of which there is no honest interval: their points are all that can be said
 
 
 @dataclass(frozen=True)
@@ -55,15 +53,13 @@ class SolveRule(Checked):
 
 
 def episodes_to_solve(returns: np.ndarray, rule: SolveRule) -> np.ndarray:
-    """The number, from 1, of the episode that ends the first solving window.
+    """The number, from 1, of the episode that ends the first solving window: float64 ``[...]``,
+    infinity where unsolved.
 
     Args:
         returns: `SolveRule.score`, ``[..., episodes]``; NaN where an episode was not played. A
             window with what is not finite in it solves nothing, and spoils no other one.
         rule: when a run is solved.
-
-    Returns:
-        float64 ``[...]``, infinity where unsolved.
     """
     returns = np.asarray(returns, np.float64)
     if returns.shape[-1] < rule.window:
@@ -298,17 +294,9 @@ def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray, paired: bool 
 
 
 def holm(p_values: Sequence[float]) -> np.ndarray:
-    """Holm's adjusted p-values (1979) of one family of tests: the k-th smallest of m counts
-    m - k + 1 times, none less than a smaller one, and all are 1 at the most.
-
-    Args:
-        p_values: ``[m]``, each between 0 and 1.
-
-    Returns:
-        float64 ``[m]``, in the same order.
-
-    Raises:
-        ValueError: where one is no probability.
+    """Holm's adjusted p-values (1979) of one family of tests, float64 ``[m]`` in the order of
+    ``p_values [m]``: the k-th smallest of m counts m - k + 1 times, none less than a smaller one,
+    and all are 1 at the most. `ValueError` where one is no probability.
     """
     p = np.asarray(p_values, np.float64)
     if p.ndim != 1 or not ((p >= 0) & (p <= 1)).all():

@@ -15,8 +15,7 @@ from jaxdyna.types import Key, PyTree, check_key
 AXES = ("settings", "seeds")
 """Names of the vmapped axes, for `jaxdyna.dyna.make_train` and `make_advance`."""
 
-RUNS = "runs"
-"""Name of the axis of `over_runs`."""
+RUNS = "runs"  #: name of the axis of `over_runs`
 
 DEVICES = "devices"
 
@@ -25,7 +24,8 @@ def sweep(
     train: Callable[[Key, Any], PyTree], keys: Key, hparams: Any, block: int | None = None
 ) -> PyTree:
     """Runs ``train(key, hparams)`` for every setting and seed in one jitted call. The seeds are
-    dealt out equally to as many of `jax.devices` as their number can be divided by.
+    dealt out equally to as many of `jax.devices` as their number can be divided by. `ValueError`
+    where the swept leaves differ in length, or another argument cannot be.
 
     Args:
         train: a pure function; the same function object compiles once per shape.
@@ -39,9 +39,6 @@ def sweep(
     Returns:
         What ``train`` returns with leading axes ``[settings, seeds]`` (settings is 1 where
         nothing is swept).
-
-    Raises:
-        ValueError: where the swept leaves differ in length, or another argument cannot be.
     """
     check_key(keys, 1)
     check_counts(keys=len(keys), block=1 if block is None else block)
@@ -115,10 +112,8 @@ def _named_vmap(function: Callable, axes: tuple, size: int, name: str) -> Callab
 
 
 def num_settings(hparams: Any) -> int:
-    """The length of the swept axis; 1 where every leaf is a scalar.
-
-    Raises:
-        ValueError: where the swept leaves differ in length, or have none or further axes.
+    """The length of the swept axis; 1 where every leaf is a scalar. `ValueError` where the swept
+    leaves differ in length, or have none or further axes.
     """
     shapes = {jnp.shape(leaf) for leaf in jax.tree.leaves(hparams) if jnp.ndim(leaf) > 0}
     for shape in shapes:

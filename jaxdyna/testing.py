@@ -31,12 +31,8 @@ class ContractError(AssertionError):
 
 
 def check_environment(env: Environment, params: Any = None, random: bool | None = None) -> None:
-    """Plays a few episodes of random actions.
-
-    Args:
-        env: the environment.
-        params: its parameters, by default ``env.default_params``.
-        random: True demands that the key matters; None does not, as nothing need be random.
+    """Plays a few episodes of random actions; ``params`` are by default ``env.default_params``.
+    ``random`` demands that the key matters; without it nothing need be random.
     """
     check_part("env", env, "reset", "step", "default_params", "num_actions")
     name = type(env).__name__
@@ -76,13 +72,8 @@ def check_environment(env: Environment, params: Any = None, random: bool | None 
 
 
 def check_agent(agent: Agent, hparams: Any, transitions: Transition, num_actions: int) -> None:
-    """Acts on a few observations, and learns from a few episodes.
-
-    Args:
-        agent: the agent.
-        hparams: its hyper-parameters.
-        transitions: a few whole episodes ``[N, T]``, with T of at least 2.
-        num_actions: of the world.
+    """Acts on a few observations, and learns from a few whole episodes ``[N, T]``, with T of at
+    least 2.
     """
     check_part("agent", agent, "init", "act", "update")
     _demand(np.ndim(transitions.mask) == 2, EPISODES)
@@ -99,12 +90,8 @@ def check_agent(agent: Agent, hparams: Any, transitions: Transition, num_actions
 
 
 def check_model(model: DynamicsModel, hparams: Any, transitions: Transition) -> None:
-    """Predicts a few transitions, and learns from a few episodes.
-
-    Args:
-        model: the model.
-        hparams: its hyper-parameters.
-        transitions: a few whole episodes ``[N, T]``, with T of at least 2.
+    """Predicts a few transitions, and learns from a few whole episodes ``[N, T]``, with T of at
+    least 2.
     """
     check_part("model", model, "init", "predict", "update")
     _demand(np.ndim(transitions.mask) == 2, EPISODES)
@@ -123,13 +110,8 @@ def check_model(model: DynamicsModel, hparams: Any, transitions: Transition) -> 
 
 
 def check_planner(planner: Planner, env: Environment, params: Any, prior: bool = False) -> None:
-    """Decides in a few first states.
-
-    Args:
-        planner: the planner.
-        env: the environment that it plans in, at best a tiny one.
-        params: its parameters.
-        prior: whether ``guide.prior`` has to count, as where it starts from a policy.
+    """Decides in a few first states of the environment that it plans in, at best a tiny one.
+    ``prior`` says whether ``guide.prior`` has to count, as where it starts from a policy.
     """
     check_part("planner", planner, "__call__")
     name, reset, zeros = "the planner", jax.jit(env.reset), np.zeros(env.num_actions, np.float32)

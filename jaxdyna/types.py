@@ -12,8 +12,7 @@ import chex
 import jax
 import jax.numpy as jnp
 
-Key = jax.Array
-"""A typed random key (``jax.random.key``), used once."""
+Key = jax.Array  #: a typed random key (``jax.random.key``), used once
 
 PyTree = Any
 
@@ -65,11 +64,7 @@ class Transition(NamedTuple):
 
     @property
     def valid(self) -> jax.Array:
-        """The mask.
-
-        Raises:
-            AssertionError: where it is not bool.
-        """
+        """The mask; `AssertionError` where it is not bool."""
         meaning = "a mask says which steps there are; how much each counts is its weight"
         chex.assert_type(self.mask, bool, custom_message=meaning)
         return self.mask
@@ -91,14 +86,9 @@ class Transition(NamedTuple):
 
 
 def check_transitions(transitions: Transition, rank: int | None = None) -> None:
-    """Refuses transitions whose arrays disagree about the leading axes, which are the mask's.
-
-    Args:
-        transitions: what is given, with a bool mask and integer actions.
-        rank: how many leading axes there have to be, 2 of episodes ``[N, T]``; None: any number.
-
-    Raises:
-        AssertionError: where they are no such transitions.
+    """Refuses, by an `AssertionError`, transitions whose arrays disagree about the leading axes,
+    which are those of the bool mask, and actions that are no integers. ``rank`` is how many axes
+    there have to be, 2 of episodes ``[N, T]``; None: any number.
     """
     mask, action = transitions.valid, transitions.action
     ends = [transitions.terminated, transitions.truncated]
