@@ -161,7 +161,7 @@ bce = PixelLoss(optax.sigmoid_binary_cross_entropy, jax.nn.sigmoid, jax.nn.sigmo
 
 def deceive(fake_logit: jax.Array) -> jax.Array:
     """The generator's loss ``-log D(G(z))``, the non-saturating one (Goodfellow et al. 2014), by
-    the discriminator's log odds, of any shape, that a made picture is a true one.
+    the discriminator's log odds that a made picture is a true one, and in their shape.
     """
     return jax.nn.softplus(-fake_logit)
 

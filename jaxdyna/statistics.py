@@ -231,9 +231,7 @@ def mean_of_runs(values: np.ndarray) -> Summary:
 
 
 def mean_interval(values: np.ndarray) -> np.ndarray:
-    """95% t intervals of the mean over seeds, each of ``[seeds, n]``: ``[2, n]``, for the bands of
-    figures.
-    """
+    """95% t intervals ``[2, n]`` of means over seeds, each of ``[seeds, n]``: bands of figures."""
     count = len(values)
     half = t.ppf(0.975, count - 1) * values.std(0, ddof=1) / np.sqrt(count)
     return values.mean(0) + np.stack([-half, half])

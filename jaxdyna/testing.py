@@ -72,9 +72,7 @@ def check_environment(env: Environment, params: Any = None, random: bool | None 
 
 
 def check_agent(agent: Agent, hparams: Any, transitions: Transition, num_actions: int) -> None:
-    """Acts on a few observations, and learns from a few whole episodes ``[N, T]``, with T of at
-    least 2.
-    """
+    """Acts on a few observations and learns from a few whole episodes ``[N, T]``, T at least 2."""
     check_part("agent", agent, "init", "act", "update")
     _demand(np.ndim(transitions.mask) == 2, EPISODES)
     state = _Pure("init", agent.init)(_keys(0)[0], hparams)
@@ -90,9 +88,7 @@ def check_agent(agent: Agent, hparams: Any, transitions: Transition, num_actions
 
 
 def check_model(model: DynamicsModel, hparams: Any, transitions: Transition) -> None:
-    """Predicts a few transitions, and learns from a few whole episodes ``[N, T]``, with T of at
-    least 2.
-    """
+    """Predicts a few transitions and learns from a few whole episodes ``[N, T]``, T at least 2."""
     check_part("model", model, "init", "predict", "update")
     _demand(np.ndim(transitions.mask) == 2, EPISODES)
     state = _Pure("init", model.init)(_keys(0)[0], hparams)

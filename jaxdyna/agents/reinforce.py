@@ -30,9 +30,7 @@ def no_baseline(returns: jax.Array, valid: jax.Array) -> jax.Array:
 
 
 def within_episode(returns: jax.Array, valid: jax.Array) -> jax.Array:
-    """Returns standardised within each episode, as the paper's authors do; shapes as in
-    `no_baseline`.
-    """
+    """Standardised within each episode, as the paper's authors do; shapes as in `no_baseline`."""
     return jax.vmap(standardise)(returns, valid)
 
 

@@ -36,9 +36,7 @@ def where_needed(
 
 
 def nothing() -> float:
-    """What metrics of skipped work are: NaN, or while JAX looks for NaNs (``JAX_DEBUG_NANS``) minus
-    infinity.
-    """
+    """The metrics of skipped work: NaN, or minus infinity while JAX looks for NaNs."""
     return -math.inf if jax.config.jax_debug_nans else math.nan  # type: ignore[attr-defined]
 
 

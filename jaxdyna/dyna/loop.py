@@ -313,9 +313,7 @@ def play_dreams(
 
 
 def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metrics]:
-    """Policy updates on fake episodes; returns the agent's new state, and whether these were safe
-    in the end.
-    """
+    """Updates on fake episodes: the agent's new state, and whether these were safe in the end."""
     env_params = dyna.dream.params(state, hparams)
     weight = jnp.where(episode + 1 >= hparams.num_real_first, hparams.fake_weight, 0.0)
 

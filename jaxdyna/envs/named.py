@@ -14,8 +14,7 @@ import numpy as np
 from jaxdyna.envs.hosted import from_gymnasium
 from jaxdyna.types import check_part
 
-AT_ONCE = 4096
-"""Episodes of a Gymnasium world that may be played at a time; worlds are made as needed."""
+AT_ONCE = 4096  #: the most episodes of a Gymnasium world at a time; worlds are made as needed
 FORMS = "gymnasium:ID, jaxdyna:NAME, MODULE:NAME or 'MODULE:NAME(FIELD=VALUE, ...)'"
 
 

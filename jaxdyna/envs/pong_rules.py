@@ -77,9 +77,7 @@ def first_state(params: PongParams) -> PongState:
 
 
 def advance(key: Key, state: PongState, action: jax.Array, params: PongParams) -> PongState:
-    """The state after one frame with ``action``, an int scalar in [0, 6); ``time`` is left to the
-    caller.
-    """
+    """The state after one frame with ``action``, int in [0, 6); ``time`` is left to the caller."""
     key_sticky, key_serve = jax.random.split(key)
     sticky = jax.random.bernoulli(key_sticky, params.repeat_action_probability)
     action = jnp.where(sticky, state.last_action, action)

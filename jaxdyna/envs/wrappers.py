@@ -111,9 +111,7 @@ class Replayed(Wrapper):
         return ReplayedParams(self.env.default_params, start=None)
 
     def reset(self, key: Key, params: ReplayedParams) -> tuple[jax.Array, StackState]:
-        """Draws where it begins; `ValueError` where states have no ``time``, which a dream counts
-        anew.
-        """
+        """Draws where it begins; `ValueError` where states lack ``time``: dreams count it anew."""
         obs, state = self.draw(key, params.start)
         if not hasattr(state, "time"):
             raise ValueError(

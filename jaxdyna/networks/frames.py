@@ -198,9 +198,7 @@ class FrameModel(nn.Module):
         return self.network(stack, action, False)
 
     def outcome(self, features: jax.Array, next_frame: jax.Array) -> tuple[jax.Array, ...]:
-        """Reward, its charge and the log odds of the end, each ``[N]``; without a head 0 and minus
-        infinity.
-        """
+        """Reward, its charge and log odds of the end, ``[N]``; without a head 0, minus infinity."""
         count = next_frame.shape[0]
         reward = charge = jnp.zeros(count)
         if self.reward is not None:

@@ -15,8 +15,7 @@ from flax import linen as nn
 
 from jaxdyna.types import Key
 
-MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Parts of a step at which things that move evenly are compared."""
+MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)  #: parts of a step at which even moves are compared
 
 
 class Resolution(NamedTuple):

@@ -102,9 +102,7 @@ def score(
 
 
 def random_shooting(env: Environment, config: ShootingConfig) -> Planner:
-    """The best of random sequences in ``env``, true or learned. Of equally good ones the first is
-    chosen.
-    """
+    """The best of random sequences in ``env``, true or learned; the first of equally good ones."""
     judge = _judge(env, config)
 
     def plan(
