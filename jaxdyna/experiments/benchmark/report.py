@@ -13,9 +13,9 @@ SAID = {
     "just these runs, each up to its own end, over the number of cores, as if as many processes "
     "at once took no longer than one. Ours is played three times with the smallest number of runs, "
     "once with more.",
-    "steps": "Many environments at once; all that steps return is kept. Given: poles pushed to and "
-    "fro for 16 steps after a reset, so that none falls. At random: actions drawn in every step; "
-    "what is over is reset. NumPy plays one Maze at a time.",
+    "steps": "Many environments at once; each step makes what is seen, the last is kept. Given: "
+    "poles pushed to and fro for 16 steps from an episode's start, so that none falls. At random: "
+    "an action drawn for every step; what is over is reset. NumPy plays one Maze at a time.",
     "dreams": "Steps of the learned CartPole model in `rollout`, the policy acting. The ceiling is "
     "what products of as many rows with 256x256 allow.",
     "frames": "One run on all cores, each batch drawn from its replay: the Maze by `tuned`, Pong's "
@@ -26,6 +26,7 @@ SAID = {
     "arms, with a cache of programs that is empty, then full, once each.",
     "memory": "The peak of a process, beside the state of all its runs; once each."}  # fmt: skip
 BESIDE = ("whole", "steps", "dreams", "frames")  #: what others are beside
+TICKS = (1, 2, 5, 10, 20, 50, 100, 200)  #: of the figure, as far as it goes
 LACKING = (
     "PyTorch is missing: `pip install 'jaxdyna[bench]'`, in a checkout, where `docs/examples` is."
 )
@@ -96,14 +97,18 @@ def figure(record: Record) -> str:
     rows = [row for name in BESIDE for row in measured[name] if "ratio" in row]
     if not rows:
         return ""
+    ends = [end for row in rows for end in row["ends"]]
     drawn, panel = plots.subplots(figsize=(plots.WIDTH, 0.3 * len(rows) + 1.2))
     for place, row in enumerate(rows):
         panel.plot(row["ends"], [place, place], color=plots.FAINT)
         panel.plot(row["ratio"], place, "o", color=plots.GREEN)
     panel.axvline(1, color=plots.MARK, linewidth=1, linestyle=plots.DASHED)
-    panel.set_yticks(range(len(rows)), [f"{row['what']}: {row['whose']}" for row in rows])
-    panel.invert_yaxis()
+    panel.set_yticks(range(len(rows)), [f"{row['what']} | {row['whose']}" for row in rows])
+    panel.set_ylim(len(rows) - 0.4, -0.6)
     panel.set_xscale("log")
+    panel.set_xticks(TICKS, map(str, TICKS), minor=False)
+    panel.minorticks_off()
+    panel.set_xlim(min(0.8, *ends) / 1.1, max(ends) * 1.1)
     plots.finish(
         panel, x="times as fast (median of the turns; line: lowest to highest)", legend=False
     )
