@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta, binom, binomtest, rankdata, t
+import scipy  # whose parts are imported at their first use
 
 from jaxdyna.fields import Checked, check_counts, setting
 
@@ -142,7 +142,7 @@ def summarise(
         restricted = float(values.mean())
         restricted_ci95 = studentised_interval(values, positive, most)
         stopped = [_plain(value) for value in values]
-    share = binomtest(int(np.sum(solved)), len(per_seed)).proportion_ci(method="exact")
+    share = scipy.stats.binomtest(int(np.sum(solved)), len(per_seed)).proportion_ci(method="exact")
     return {
         "per_seed": [_plain(value) for value in per_seed],
         "mean": _plain(np.mean(per_seed)),
@@ -163,7 +163,7 @@ def median_interval(values: np.ndarray) -> list[float | None] | None:
     """The exact 95% interval of a median by ranks, such as the 2nd to the 9th of ten values; None
     for five or fewer, which have none.
     """
-    rank = int(binom.ppf(0.025, len(values), 0.5))
+    rank = int(scipy.stats.binom.ppf(0.025, len(values), 0.5))
     if rank < 1:
         return None
     ordered = np.sort(values)
@@ -233,7 +233,7 @@ def mean_of_runs(values: np.ndarray) -> Summary:
 def mean_interval(values: np.ndarray) -> np.ndarray:
     """95% t intervals ``[2, n]`` of means over seeds, each of ``[seeds, n]``: bands of figures."""
     count = len(values)
-    half = t.ppf(0.975, count - 1) * values.std(0, ddof=1) / np.sqrt(count)
+    half = scipy.stats.t.ppf(0.975, count - 1) * values.std(0, ddof=1) / np.sqrt(count)
     return values.mean(0) + np.stack([-half, half])
 
 
@@ -243,8 +243,8 @@ def share_interval(hits: np.ndarray) -> np.ndarray:
     """
     count, total = len(hits), np.sum(hits, 0)
     with np.errstate(invalid="ignore"):
-        low = beta.ppf(0.025, total, count - total + 1)
-        high = beta.ppf(0.975, total + 1, count - total)
+        low = scipy.stats.beta.ppf(0.025, total, count - total + 1)
+        high = scipy.stats.beta.ppf(0.975, total + 1, count - total)
     return np.stack([np.where(total == 0, 0, low), np.where(total == count, 1, high)])
 
 
@@ -275,7 +275,7 @@ def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray, paired: bool 
     if min(len(one), len(other)) <= FEW or error <= 0:
         return said
     for name, level in (("ci95", 0.975), ("ci90", 0.95)):
-        half = t.ppf(level, freedom) * error
+        half = scipy.stats.t.ppf(level, freedom) * error
         said[name] = [float(np.exp(log - half)), float(np.exp(log + half))]
     generator = np.random.default_rng(0)
     if paired:
@@ -331,7 +331,7 @@ def share_of_sums(parts: np.ndarray, wholes: np.ndarray) -> Summary:
     said: Summary = {"share": float(share), "ci95": None}
     if count > FEW:
         rest = (parts - share * wholes) / wholes.mean()
-        half = t.ppf(0.975, count - 1) * rest.std(ddof=1) / np.sqrt(count)
+        half = scipy.stats.t.ppf(0.975, count - 1) * rest.std(ddof=1) / np.sqrt(count)
         said["ci95"] = [float(share - half), float(share + half)]
     return said
 
@@ -343,7 +343,9 @@ def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float,
     """
 
     def correlate(draws):
-        ranks = [rankdata(values[:, draws].mean(-1), axis=0) for values in (left, right)]
+        ranks = [
+            scipy.stats.rankdata(values[:, draws].mean(-1), axis=0) for values in (left, right)
+        ]
         one, other = (each - each.mean(0) for each in ranks)
         scale = np.sqrt(np.square(one).sum(0) * np.square(other).sum(0))
         return (one * other).sum(0) / np.where(scale > 0, scale, 1)
