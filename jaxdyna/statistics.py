@@ -291,6 +291,18 @@ def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray, paired: bool 
     return said
 
 
+def brunner_munzel(one: np.ndarray, other: np.ndarray) -> float | None:
+    """p that either of two unpaired arms is as often the lower, ties one half (Brunner and Munzel
+    2000, two-sided), from ``[seeds]`` of each; where all runs of one are below the other's, so that
+    ranks have no spread, Mann and Whitney's. None of five seeds or fewer, and where nothing varies.
+    """
+    if min(len(one), len(other)) <= FEW or np.ptp([*one, *other]) == 0:
+        return None
+    apart = one.max() < other.min() or other.max() < one.min()
+    test = scipy.stats.mannwhitneyu if apart else scipy.stats.brunnermunzel
+    return float(test(one, other).pvalue)
+
+
 def holm(p_values: Sequence[float]) -> np.ndarray:
     """Holm's adjusted p-values (1979) of one family of tests, float64 ``[m]`` in the order of
     ``p_values [m]``: the k-th smallest of m counts m - k + 1 times, none less than a smaller one,

@@ -28,7 +28,7 @@ STOREYS = {
     "engine": 1,
     **dict.fromkeys(["study", "frames"], 2),
     **dict.fromkeys(["cartpole", "maze", "pong", "catch"], 3),
-    **dict.fromkeys(["planning", "benchmark", "merge", "record", "evaluate", "any"], 4),
+    **dict.fromkeys(["planning", "benchmark", "merge", "record", "evaluate", "compare", "any"], 4),
 }
 """The reports below the engine: it writes them, they read its records as they come."""
 
@@ -80,7 +80,8 @@ def test_what_is_imported_is_declared():
     names = {each.partition(">=")[0].replace("-", "_") for each in declared}
     modules = {module.split(".")[0] for path in FILES for module in imports(path)}
     own = {"jaxdyna", *sys.stdlib_module_names}
-    assert {{"PIL": "pillow"}.get(name, name) for name in modules - own} <= names
+    called = {"PIL": "pillow", "markdown_it": "markdown_it_py"}
+    assert {called.get(name, name) for name in modules - own} <= names
 
 
 def test_folders_stay_easy_to_see():

@@ -20,7 +20,7 @@ DIARIES = [ROOT / "experiments" / "README.md", ROOT / "docs" / "development-log.
 """Their commands keep the spelling of their day."""
 TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = sorted({*TEXTS, *DIARIES})
-NO_EXPERIMENT = "(?:merge|record|evaluate|any)"
+NO_EXPERIMENT = "(?:merge|record|evaluate|compare|any)"
 """Or experiments of worlds that need not be here: `test_any` parses these."""
 
 

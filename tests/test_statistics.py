@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from scipy.stats import beta, binom, binomtest, sem, spearmanr
+from scipy.stats import beta, binom, binomtest, brunnermunzel, mannwhitneyu, sem, spearmanr
 from scipy.stats import t as scipy_t
 
 from jaxdyna.experiments.report.summaries import compare, comparison, describe_arm, restricted
 from jaxdyna.experiments.study.accuracy import Measure, describe
 from jaxdyna.statistics import (
     SolveRule,
+    brunner_munzel,
     episodes_to_solve,
     holm,
     mean_interval,
@@ -270,6 +271,15 @@ def test_what_p_and_intervals_allow_to_say():
         arms = {"model_free": base, "dyna": arm}
         (line,) = comparison({"arms": {n: {"episodes_to_solve": a} for n, a in arms.items()}}, {})
         assert said in line and ("told apart" in line) == ("told apart" in said)
+
+
+def test_brunner_and_munzels_p():
+    """SciPy's, which has none where all of one are below the other's; none of few or equal runs."""
+    one, other = np.array([3.0, 4, 4, 7, 9, 9]), np.array([4.0, 8, 9, 9, 9, 9])
+    assert brunner_munzel(one, other) == brunnermunzel(one, other).pvalue
+    assert brunner_munzel(one, other + 9) == mannwhitneyu(one, other + 9).pvalue < 0.01
+    assert brunner_munzel(other + 9, one) < 0.01 and brunner_munzel(one[:5], other) is None
+    assert brunner_munzel(np.full(6, 9.0), np.full(6, 9.0)) is None
 
 
 def test_holms_p_by_hand():

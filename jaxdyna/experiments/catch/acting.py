@@ -30,6 +30,7 @@ class CatchOptions(Options):
         "hparams.env.max_steps": "--rows",
         "agent.network": "--glimpse and --hidden",
     }
+    world_settings: ClassVar = ("hparams.env", "rows", "columns")
 
     rows: int = setting(10, "of the board", at_least=3, at_most=1000)
     columns: int = setting(5, "of the board", at_least=2, at_most=1000)

@@ -27,6 +27,9 @@ class Options(fields.Checked):
 
     #: by dotted path, which flag decides a setting instead: it is no flag of its own
     decided: ClassVar[Mapping[str, str]] = {}
+    #: how the paths of settings begin that say what is played: runs in which they differ cannot be
+    #: compared
+    world_settings: ClassVar[Sequence[str]] = ("hparams.env",)
 
     preset: str = setting("tuned", "whose settings are the defaults")
     quick: bool = setting(False, "whether it is a look at everything in minutes")

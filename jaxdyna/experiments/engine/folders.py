@@ -19,6 +19,7 @@ from jaxdyna.experiments.engine.checkpoint import checkpoints_below
 from jaxdyna.experiments.engine.trained import FOLDER
 
 LOCK, PREVIOUS, PARTS, CHECKPOINTS = ".lock", "previous", "parts", "checkpoints"
+PAGE = "report.html"
 FIGURE = re.compile(r"!\[[^\]]*\]\(([^()/]+)\)")
 MOVING = ".moving"
 
@@ -121,7 +122,7 @@ def files(folder: Path) -> list[Path]:
     """
     report = folder / "report.md"
     shown = FIGURE.findall(report.read_text(encoding="utf-8")) if report.is_file() else []
-    names = dict.fromkeys([*shown, "report.md", FOLDER, "curves.npz", "results.json"])
+    names = dict.fromkeys([*shown, PAGE, "report.md", FOLDER, "curves.npz", "results.json"])
     return [folder / name for name in names if (folder / name).exists()]
 
 
@@ -130,7 +131,7 @@ def _set_aside(folder: Path) -> None:
     kill in between leaves what the next run moves on.
     """
     record = files(folder)
-    if _in_version_control(folder, record):
+    if _in_version_control(folder, [file for file in record if file.name != PAGE]):
         for file in record:
             file.unlink()
         return

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from jaxdyna import fields
-from jaxdyna.experiments.engine import storage
+from jaxdyna.experiments.engine import folders, storage
 from jaxdyna.experiments.engine.experiment import Entry, Experiment, Record, Results, Study, entries
 from jaxdyna.experiments.engine.trained import EPISODES, RETURN
 from jaxdyna.experiments.engine.work import Curves
+from jaxdyna.experiments.report.page import page
 from jaxdyna.experiments.report.sections import kept_policies
 from jaxdyna.experiments.report.summaries import compare, describe_arm, diverged
 from jaxdyna.experiments.report.tables import label, paragraphs
@@ -120,7 +121,9 @@ def read_back(options: Any, sweep: Mapping[str, Sequence[Any]]) -> dict[str, lis
 
 
 def write_report(experiment: Experiment, record: Record) -> str:
-    """Writes ``report.md`` and its figures into the record's folder; returns the text."""
+    """Writes ``report.md``, its figures and ``report.html`` into the record's folder; returns the
+    text.
+    """
     head = [f"# {experiment.title}", f"`{record.results['command']}`"]
     if missing := record.results.get("unfinished"):
         head.append(f"**Interrupted: {', '.join(missing)} not finished; --resume goes on.**")
@@ -133,6 +136,7 @@ def write_report(experiment: Experiment, record: Record) -> str:
         text = re.sub(rf"(?<!\w){re.escape(name)}", label(name), text)  # not the names of files
     text = paragraphs(*head, text) + "\n"
     storage.write_text(record.out / "report.md", text)
+    storage.write_text(record.out / folders.PAGE, page(record, text))
     return text
 
 

@@ -451,7 +451,7 @@ class Session:
         text = write_report(self.experiment, record)
         self.console.print(Markdown(text.partition("\n![")[0]))
         seconds = f"{self.results['timing']['total_s']:.0f} s in all"
-        self.console.print(f"Report: {self.out / 'report.md'} ({seconds})")
+        self.console.print(f"Report: {self.out / 'report.md'}, report.html ({seconds})")
 
 
 def identity_of(results: Results) -> Results:

@@ -32,6 +32,7 @@ class MazeOptions(Options):
         "cloning.capacity": "--shown-episodes",
         "cloning.updates": "--agent.fake-updates, since it makes as many as dyna on dreams",
     }  # fmt: skip
+    world_settings: ClassVar = ("hparams.env", "size", "obstacles")
 
     size: int = setting(16, "cells a side of the board", at_least=2, at_most=1000, everyday=True)
     obstacles: int = setting(5, "how many obstacles", at_least=0, everyday=True)

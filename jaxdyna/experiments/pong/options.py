@@ -38,6 +38,7 @@ class PongOptions(GameOptions):
         "hparams.env.points_to_win": "--steps",
         "models_made": "--models",
     }
+    world_settings: ClassVar = ("hparams.env", "game", "frames", "scale")
 
     network: Literal["convolutions", "plain"] = setting(
         "convolutions", "of the agent where --frames is rgb: three convolutions and a normalised "

@@ -172,10 +172,10 @@ def _never(record: Any) -> str:
 @told
 def learning_curves(
     record: Any, rule: Rule, name: str = "returns.png", said: str = "return against real episodes",
-    what: str = "return", window: int | None = None, arms: Sequence[str] = (),
+    what: str = "return", window: int | None = None, arms: Sequence[str] = (), begins: bool = True,
 ) -> str:  # fmt: skip
     """Real return against real episodes, all arms in one panel, and where there is a rule the share
-    of runs that have solved.
+    of runs that have solved; ``begins``: whether it shows when dreams and planners begin.
     """
     solves, returns, at = rule(record.options), {}, {}
     for arm, curves in drawn(record, arms).items():
@@ -184,10 +184,9 @@ def learning_curves(
         if solves:
             at[arm] = episodes_to_solve(solves.score(curves), solves)
     asked, few = (solves.threshold, min(solves.window, 20)) if solves else (None, 20)
-    first, kinds = record.options.dyna.num_real_first, {_begun(arm) for arm in returns} - {""}
-    plots.learning_curves(record.out / name, returns, asked, at,
-                          dict.fromkeys([" and ".join(sorted(kinds))] if kinds else [], first),
-                          window or few, what)  # fmt: skip
+    kinds = " and ".join(sorted({_begun(arm) for arm in returns if begins} - {""}))
+    first = {kinds: record.options.dyna.num_real_first} if kinds else {}
+    plots.learning_curves(record.out / name, returns, asked, at, first, window or few, what)
     return paragraphs(f"![{said}]({name})", solved_share(rule)(record) if solves else "")
 
 

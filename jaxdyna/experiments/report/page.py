@@ -1,0 +1,183 @@
+"""``report.html``: a report as one page for a browser, with its curves to be looked into.
+
+The page loads nothing: figures, films, curves, script and style are in it, and a policy of its own
+forbids everything else. It stays below 500 KB without films: of long curves as many points are
+taken, and figures are as wide, as that allows.
+"""
+
+import base64
+import gzip
+import html
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
+from PIL import Image
+
+from jaxdyna.experiments.report import plots, tables
+from jaxdyna.statistics import running_mean
+
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+#: of all curves and of all figures, as they stand in the page
+CURVES_BYTES, FIGURES_BYTES = 230_000, 200_000
+#: points of a curve, and single runs, the first ones: the first that fit, or the last
+SIZES = ((200, 100), (120, 100), (80, 100), (60, 100), (60, 30), (60, 10))
+#: pixels across a figure, likewise
+WIDTHS = (1245, 900, 640)
+#: episodes in a running mean, as in the figures; a tenth of short runs
+WINDOW = 20
+#: that are told apart between the lowest and the highest value
+HEIGHTS = 2000
+#: how many times as large as the lowest the highest of values is that are drawn by their logarithm
+LOGARITHMIC = 1000
+RETURN = "real_return"
+
+
+def page(record: Any, text: str) -> str:
+    """The report ``text``, in Markdown, of a record in whose folder its figures lie. The curves
+    stand before the first figure.
+    """
+    markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
+    markdown.add_render_rule("image", _captioned)
+    markdown.add_render_rule("table_open", lambda *_: '<div class="wide" tabindex="0"><table>\n')
+    markdown.add_render_rule("table_close", lambda *_: "</table></div>\n")
+    before, figure, after = text.partition("\n![")
+    parts = [markdown.parse(part) for part in (before, figure + after)]
+    _embed(parts[1], record.out)
+    head, rest = (markdown.renderer.render(part, markdown.options, {}) for part in parts)
+    told = json.dumps(curves(record)).replace("<", "\\u003c")
+    style, script = (Path(__file__).with_name(f"page.{kind}").read_text() for kind in ("css", "js"))
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        f"<title>{html.escape(text.splitlines()[0].strip('# ').replace('`', ''))}</title>\n"
+        f"<style>\n{style}</style>\n</head>\n<body>\n<main>\n"
+        f'{head}<section id="curves"><noscript>Curves are drawn by a script.</noscript></section>\n'
+        f"{rest}</main>\n"
+        f'<script type="application/json" id="told">{told}</script>\n'
+        f"<script>\n{script}</script>\n</body>\n</html>\n"
+    )
+
+
+def _captioned(renderer: Any, tokens: Sequence[Token], number: int, *rest: Any) -> str:
+    """A picture with what it shows below it."""
+    said = html.escape(tokens[number].content)
+    shown = renderer.image(tokens, number, *rest)
+    return f'<span class="wide" tabindex="0">{shown}</span><small>{said}</small>'
+
+
+def _embed(tokens: Sequence[Token], folder: Path) -> None:
+    """Puts pictures of the folder into the page: films as they are, figures so small that all of
+    them fit.
+    """
+    shown = [one for token in tokens for one in token.children or () if one.type == "image"]
+    paths = {id(one): folder / unquote(str(one.attrs["src"])) for one in shown}
+    figures = {path: b"" for path in paths.values() if path.suffix == ".png" and path.is_file()}
+    for width in WIDTHS:
+        figures = {path: _webp(path, width) for path in figures}
+        if sum(map(len, figures.values())) * 4 / 3 <= FIGURES_BYTES:
+            break
+    for one in shown:
+        path = paths[id(one)]
+        film = path.read_bytes() if path.suffix == ".gif" and path.is_file() else b""
+        kind, data = ("webp", figures[path]) if path in figures else ("gif", film)
+        one.attrs["src"] = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def _webp(path: Path, width: int) -> bytes:
+    """A figure, no wider than so many pixels."""
+    file = io.BytesIO()
+    with Image.open(path) as picture:
+        height = round(picture.height * width / picture.width)
+        small = picture if picture.width <= width else picture.resize((width, height))
+        small.convert("RGB").save(file, "WEBP", quality=75, method=4)
+    return file.getvalue()
+
+
+def curves(record: Any) -> Mapping[str, Any]:
+    """What the script draws; nothing where nothing was played in episodes.
+
+    Returns:
+        ``arms``: name, colour and dashes; ``runs``: their seeds; ``episodes`` at which curves are
+        told; ``measures``, each with its ``lowest`` and ``highest`` value, whether its heights are
+        ``orders``, of its logarithm, and ``arms``: number, points and single runs of each that has
+        it; ``packed``: the lines of all these in turn, see `_lines` and `_heights`.
+    """
+    played = {arm: own for arm, own in record.curves.items() if RETURN in own}
+    longest = max((own[RETURN].shape[1] for own in played.values()), default=0)
+    window = max(min(WINDOW, longest // 10), 1)
+    measures = {
+        name: {number: smoothed(own[name], window) for number, own in enumerate(played.values())
+               if name in own and own[name].shape == own[RETURN].shape}
+        for name in dict.fromkeys([RETURN, *(name for own in played.values() for name in own)])
+    }  # fmt: skip
+    for points, runs in SIZES:
+        at = np.unique(np.linspace(1, longest, min(points, longest)).round().astype(int))
+        lines = {name: {number: _lines(values, at, runs) for number, values in arms.items()}
+                 for name, arms in measures.items()}  # fmt: skip
+        told = [each for name, arms in lines.items() if (each := _heights(name, arms))]
+        packed = base64.b64encode(gzip.compress(b"".join(each for _, each in told), mtime=0))
+        if len(packed) <= CURVES_BYTES:
+            break
+    looks = zip(played, plots.looks([*played]), strict=True)
+    return {
+        "arms": [{"name": tables.label(arm), "color": color,
+                  "dashes": [] if line == plots.SOLID else [2 * part for part in line[1]]}
+                 for arm, (color, line) in looks],
+        "runs": record.results["runs"]["seeds"], "episodes": at.tolist(), "window": window,
+        "shaded": plots.shaded(record.results["runs"]["seeds"]), "heights": HEIGHTS,
+        "measures": [measure for measure, _ in told], "packed": packed.decode(),
+    } if told else {}  # fmt: skip
+
+
+def smoothed(values: np.ndarray, window: int) -> np.ndarray:
+    """Running means of ``[runs, episodes]`` over what is known, NaN where nothing is; a run keeps
+    its last one after its end.
+    """
+    known, numbers = np.isfinite(values), np.arange(values.shape[1])
+    with np.errstate(invalid="ignore"):
+        means = running_mean(np.where(known, values, 0), window) / running_mean(
+            known.astype(float), window
+        )
+    ends = values.shape[1] - 1 - known[:, ::-1].argmax(1)
+    return np.take_along_axis(means, np.minimum(numbers, ends[:, None]), axis=1)
+
+
+def _lines(values: np.ndarray, at: np.ndarray, runs: int) -> np.ndarray:
+    """At episodes ``at`` the mean of smoothed ``[runs, episodes]``, the ends of what is shaded
+    around it, and so many single runs, ``[3 + runs, points]``.
+    """
+    known = values[np.isfinite(values).any(1)]
+    known = known if len(known) else values
+    every = [known.mean(0), *plots.around(known), *values[:runs]]
+    return np.stack(every)[:, at[at <= values.shape[1]] - 1]
+
+
+def _heights(name: str, lines: Mapping[int, np.ndarray]) -> tuple[Mapping[str, Any], bytes] | None:
+    """What is told of a measure, and its lines, arm by arm, as heights between the lowest and the
+    highest value, -1 where there is none, each as the differences from point to point; None where
+    nothing varies.
+    """
+    drawn = [np.delete(one, (1, 2), axis=0).ravel() for one in lines.values()]
+    told = np.concatenate([np.empty(0), *drawn])
+    told = told[np.isfinite(told)]
+    if not told.size or not np.ptp(told):
+        return None
+    ends = told.min(), told.max()
+    orders = bool(0 < LOGARITHMIC * ends[0] < ends[1])
+    scale = np.log if orders else np.asarray
+    (low, high), packed = scale(np.array(ends)), b""
+    for one in lines.values():
+        shares = (scale(np.clip(one, *ends)) - low) / (high - low)
+        heights = np.where(np.isfinite(shares), np.rint(HEIGHTS * shares), -1)
+        packed += np.diff(heights, prepend=0, axis=1).astype("<i2").tobytes()
+    arms = [[number, one.shape[1], len(one) - 3] for number, one in lines.items()]
+    said = {"name": name.replace("_", " "), "lowest": float(ends[0]), "highest": float(ends[1])}
+    return said | {"orders": orders, "arms": arms}, packed

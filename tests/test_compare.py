@@ -1,0 +1,139 @@
+"""Runs of several folders beside each other: what is said of them, and what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+from pole import POLE, PoleOptions
+from scipy.stats import brunnermunzel
+
+from jaxdyna.experiments import compare
+from jaxdyna.experiments.engine import storage
+from jaxdyna.experiments.engine.experiment import entries
+from jaxdyna.experiments.engine.record import results_of
+from jaxdyna.fields import changed
+from jaxdyna.statistics import holm, ratio_of_means
+
+SEEDS, EPISODES = 12, 60
+
+
+def left(out, arms, sweep=(), **overrides):
+    """The folder of a run that solves at given episodes, by arm."""
+    options = changed(PoleOptions(), {"episodes": EPISODES, "seeds": SEEDS} | overrides).resolved()
+    curves = {}
+    for name, solved in arms.items():
+        numbers = np.arange(1, EPISODES + 1)
+        returns = np.where(numbers >= np.asarray(solved)[:, None] - options.window + 1, 20.0, 1.0)
+        curves[name] = {"real_return": returns, "real_length": returns}
+    about = {
+        "experiment": "pole", "part": "pole", "module": "pole", "command": "python -m pole",
+        "runs": {"seeds": list(range(SEEDS)), "of": SEEDS, "shard": [1, 1], "block": 1},
+        "sweep": dict(sweep), "versions": {"jax": "0.8"}, "source": "abcd", "timing": {"arms": {}},
+    }  # fmt: skip
+    results = results_of(POLE, options, entries(POLE, options, dict(sweep)), curves, about)
+    out.mkdir(parents=True)
+    storage.write_json(out / "results.json", results)
+    storage.write_curves(out / "curves.npz", curves, storage.identity(results))
+    return out
+
+
+def around(middle, spread=8):
+    return middle + np.random.default_rng(middle).integers(-spread, spread + 1, SEEDS)
+
+
+@pytest.fixture
+def two(tmp_path):
+    """The second with another rate, and one run that never solves."""
+    slow = around(40)
+    slow[3] = 1000
+    rate = {"hparams.agent.learning_rate": 0.25}
+    one = left(tmp_path / "a" / "one", {"model_free": around(28), "dyna": around(20)})
+    return one, left(tmp_path / "a" / "two", {"dyna": around(24), "placebo": slow}, **rate)
+
+
+def compared(*words):
+    return compare.main([str(word) for word in words])
+
+
+def test_one_table_one_figure_and_tests(two, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert compared(*two, "--out", out) == 0
+    printed = capsys.readouterr().out
+    results = storage.read_json(out / "results.json")
+    assert list(results["arms"]) == ["model_free", "dyna, one", "dyna, two", "placebo"]
+    assert "placebo" in printed and "11/12" in printed
+    said = {tuple(one["arms"]): one for one in results["comparisons"]}
+    assert list(said) == [("dyna, one", "model_free"), ("dyna, two", "dyna, one"),
+                          ("placebo", "model_free")]  # fmt: skip
+    assert [one["paired"] for one in said.values()] == [False, True, False]
+    one, other = around(20).astype(float), around(28).astype(float)
+    expected = ratio_of_means(one, other)
+    found = said["dyna, one", "model_free"]
+    assert {name: found[name] for name in expected} == expected
+    assert found["sooner_p"] == pytest.approx(brunnermunzel(one, other).pvalue)
+    pair = said["dyna, two", "dyna, one"]
+    assert pair["ci95"] == ratio_of_means(around(24), around(20), paired=True)["ci95"]
+    assert pair["sooner_p"] is None and "learning_rate 0.25, not" in pair["differs"]
+    assert said["placebo", "model_free"]["ratio"] > 1.2  # the unsolved run counts as the budget
+    adjusted = holm([one["p"] for one in said.values()])
+    assert [one["holm_p"] for one in said.values()] == pytest.approx(list(adjusted))
+    text = (out / "report.md").read_text()
+    assert "| dyna, two : dyna, one (paired) | " in text and "told apart" in text
+    assert (out / "returns.png").exists() and "](returns.png)" in text
+    page = (out / "report.html").read_text()
+    assert "dyna, two" in page and json.dumps("dyna, one") in page
+
+
+def test_named_arms_and_another_measure(two, tmp_path):
+    out = tmp_path / "out"
+    words = ["--arms", "dyna", "--measure", "real_steps_to_solve", "--out", out]
+    assert compared(*two, *words) == 0
+    results = storage.read_json(out / "results.json")
+    assert list(results["arms"]) == ["dyna, one", "dyna, two"]
+    assert "real steps to solve: mean" in (out / "report.md").read_text()
+    assert compared(*two[::-1], *words) == 0  # an earlier one is set aside
+    assert (next((out / "previous").iterdir()) / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        ({"hparams.env.gravity": 3.0}, "two has another world than one: hparams.env.gravity 3.0"),
+        ({"episodes": 90}, "two has another budget than one: episodes 90, not 60"),
+        ({"threshold": 14.0}, "two has another solve rule than one"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(overrides, said, tmp_path, capsys):
+    folders = (
+        left(tmp_path / "one", {"dyna": around(20)}),
+        left(tmp_path / "two", {"dyna": around(20)}, **overrides),
+    )
+    refused(folders, said, tmp_path, capsys)
+
+
+def refused(words, said, tmp_path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        compared(*words, "--out", tmp_path / "out")
+    captured = capsys.readouterr()
+    assert stop.value.code == 2 and captured.out == ""
+    assert said in captured.err and len(captured.err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_folders_are_refused_by_name(two, tmp_path, capsys):
+    one, other = two
+    refused([one], "give two folders or more", tmp_path, capsys)
+    refused([one, one.parent / "." / "one"], "each of them once", tmp_path, capsys)
+    refused([one, tmp_path / "none"], f"{tmp_path / 'none'} has no result", tmp_path, capsys)
+    refused([*two, "--arms", "dina"], "--arms dina: there are", tmp_path, capsys)
+    refused([*two, "--measure", "frozen"], "--measure frozen: one does not", tmp_path, capsys)
+    results = storage.read_json(other / "results.json")
+    results["runs"]["shard"] = [1, 2]
+    storage.write_json(other / "results.json", results)
+    refused(two, "is a shard: merge it", tmp_path, capsys)
+
+
+def test_what_is_not_a_comparison_is_left_alone(two, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        compared(*two, "--out", two[0])
+    assert "has files of no such run" in capsys.readouterr().err
