@@ -58,6 +58,15 @@ def test_lines_that_would_look_alike_get_others():
     assert len(set(plots.looks(names))) == 9 and plots.looks(["dyna"]) == [plots.LOOKS["dyna"]]
 
 
+def test_an_arm_that_comes_twice_keeps_its_colour():
+    twice = ["model_free", "dyna, one", "dyna, two", "placebo, two"]
+    first, one, other, placebo = plots.looks(twice)
+    assert (first, one, placebo) == tuple(plots.look(name) for name in (twice[0], *twice[1::2]))
+    assert other.color == one.color and other.linestyle != one.linestyle
+    own = plots.looks(["model_free", "mine", "mine, two", "dyna"])  # colours tell these
+    assert len({look.color for look in own}) == 4
+
+
 def test_labels_of_points_that_lie_close_do_not_cover_each_other():
     figure, panel = plots.subplots(figsize=(plots.WIDTH, 4))
     points = {str(number): (1 + number / 1000, 1.0) for number in range(12)} | {"12": (2.0, 2.0)}

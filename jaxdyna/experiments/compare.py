@@ -20,18 +20,18 @@ from jaxdyna.experiments.report import sections
 from jaxdyna.experiments.report.summaries import restricted
 from jaxdyna.experiments.report.tables import (
     figure_at,
-    interval,
     markdown_table,
     number,
     paragraphs,
     solve_table,
+    with_interval,
 )
 from jaxdyna.fields import setting
 from jaxdyna.statistics import SolveRule, brunner_munzel, holm, ratio_of_means
 
 PROG = "python -m jaxdyna.experiments.compare"
 WHOSE = {"experiment": "compare", "part": "compare"}
-BUDGET, RULE = "episodes", "solve rule"
+WORLD, BUDGET, RULE = "experiment", "episodes", "solve rule"
 SAID = (
     "Ratios are of restricted means: an unsolved run counts with what it played. Intervals are of "
     "the log ratio (delta method, Student's t), p is of a permutation test of the same statistic, "
@@ -110,12 +110,14 @@ def compare(call: Call, argv: Sequence[str]) -> int:
     }
     curves = {name: side.left.curves[side.entry.name] for name, side in sides.items()}
     overlaid = sections.learning_curves(lambda _: first.rule, arms=[*sides], begins=False)
-    report = Experiment("compare", "Comparison", {}, lambda _: {}, sections=(table, overlaid))
+    report = Experiment("compare", "Comparison", {}, lambda _: {},
+                        sections=(table, overlaid, differences))  # fmt: skip
     with folders.held(call.out):
         folders.claim(call.out, WHOSE, fresh=False)
         storage.write_json(call.out / "results.json", results)
         text = write_report(report, Record(first.entry.options, results, curves, call.out))
-    Console(highlight=False).print(Markdown(text.partition("\n![")[0]))
+    width = None if sys.stdout.isatty() else 100
+    Console(highlight=False, width=width).print(Markdown(text.partition("\n![")[0]))
     print(f"Report: {call.out / 'report.md'}")
     return 0
 
@@ -134,8 +136,8 @@ def chosen(call: Call) -> dict[str, Side]:
         raise ValueError(f"--arms {unknown[0]}: there are {', '.join(sorted(known))}")
     sides = [side for side in sides if not call.arms or {*call.arms} & {*side.entry.names}]
     first, names = sides[0], [side.entry.name for side in sides]
-    world = ("experiment", *first.entry.options.world_settings)
-    same = {"world": world, "budget": (BUDGET,), RULE: (RULE,)}
+    world = first.entry.options.world_settings
+    same = {WORLD: (WORLD,), "world": world, "budget": (BUDGET,), RULE: (RULE,)}
     for side in sides:
         for what, paths in same.items():
             if said := side.differs(first, *paths):
@@ -159,7 +161,7 @@ def _sides(folder: Path, name: str) -> list[Side]:
     if left.results["runs"]["shard"] != [1, 1]:
         raise ValueError(f"{folder} is a shard: merge it with the others first")
     versions = {f"version of {name}": said for name, said in left.results["versions"].items()}
-    about = {"experiment": left.results["experiment"], BUDGET: left.options.episodes,
+    about = {WORLD: left.results["experiment"], BUDGET: left.options.episodes,
              "code": left.results["source"], **versions}  # fmt: skip
     sides = []
     for entry in (left.entries[arm] for arm in left.results["arms"] if arm in left.curves):
@@ -205,21 +207,29 @@ def table(record: Any) -> str:
     results = record.results
     rows = [
         [" : ".join(one["arms"]) + " (paired)" * one["paired"],
-         f"{number(one['ratio'], 2)} ({interval(one['ci95'], 2)})", number(one["p"], 4),
-         number(one.get("holm_p"), 4), f"{number(one['sooner'], 2)} ({number(one['sooner_p'], 4)})",
+         with_interval({"mean": one["ratio"], "ci95": one["ci95"]}, 2), _p(one["p"]),
+         _p(one.get("holm_p")), f"{number(one['sooner'], 2)} ({_p(one['sooner_p'])})",
          _verdict(one)]
         for one in results["comparisons"]
     ]  # fmt: skip
     header = ["compared", "ratio (95% interval)", "p", "Holm's p", "sooner (p)", "they are"]
     rule = next(iter(results["arms"].values()))["solve_rule"]
-    differ = [f"- {' : '.join(one['arms'])}: {one['differs']}." for one in results["comparisons"]
-              if one["differs"]]  # fmt: skip
-    return paragraphs(
-        f"{rule.capitalize()}.",
-        markdown_table(*solve_table(results, results["config"]["measure"])),
-        markdown_table(header, rows), SAID,
-        "They differ in:" if differ else "", "\n".join(differ),
-    )  # fmt: skip
+    solved = solve_table(results, results["config"]["measure"])
+    tests = markdown_table(header, rows)
+    return paragraphs(f"{rule.capitalize()}.", markdown_table(*solved), tests, SAID)
+
+
+def differences(record: Any) -> str:
+    """In which settings, code and versions those differ that are compared."""
+    differ: dict[str, list[str]] = {}
+    for one in record.results["comparisons"]:
+        differ.setdefault(one["differs"], []).append(" : ".join(one["arms"]))
+    lines = [f"- {'; '.join(names)}: {said}." for said, names in differ.items() if said]
+    return paragraphs("## How they differ", "\n".join(lines)) if lines else ""
+
+
+def _p(value: float | None) -> str:
+    return "< 0.0001" if value is not None and value < 1e-4 else number(value, 4)
 
 
 def _verdict(one: Results) -> str:

@@ -70,10 +70,7 @@
       draw();
     };
   const each = all.map((run) => toggle(boxes, runs, run, told.runs[run] ?? run));
-  make("p", section, { className: "note", textContent:
-    `Each curve is a running mean of ${told.window} episodes; a run that is over keeps its last ` +
-    `value. Thick: the mean of all runs; shaded: ${told.shaded}; thin: single runs` +
-    (most < told.runs.length ? `, of which the first ${most} are here.` : ".") });
+  const note = make("p", section, { className: "note" });
 
   const value = (height) => measure.orders
     ? measure.lowest * (measure.highest / measure.lowest) ** (height / told.heights)
@@ -139,6 +136,10 @@
     const drawn = [...up, ...across, ...bands, ...singles, ...means].join("");
     chart.innerHTML = `<svg width="${size.width}" height="${size.high}" role="img">${drawn
     }<path class="cursor" id="cursor"/></svg>`;
+    const here = Math.max(...measure.lines.map((own) => own.runs.length));
+    note.textContent = `Each curve is a running mean of ${told.window} episodes; a run that is ` +
+      `over keeps its last value. Thick: the mean of all runs; shaded: ${told.shaded}; thin: ` +
+      `single runs${here < told.runs.length ? `, of which the first ${here} are here` : ""}.`;
     chart.firstChild.setAttribute("aria-label", `${measure.name} against real episodes`);
     tell();
   }

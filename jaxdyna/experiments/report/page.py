@@ -26,8 +26,11 @@ from jaxdyna.statistics import running_mean
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 #: of all curves and of all figures, as they stand in the page
 CURVES_BYTES, FIGURES_BYTES = 230_000, 200_000
-#: points of a curve, and single runs, the first ones: the first that fit, or the last
-SIZES = ((200, 100), (120, 100), (80, 100), (60, 100), (60, 30), (60, 10))
+#: points of a curve, and single runs, the first ones, of returns and of all else: the first that
+#: fit, or the last
+SIZES = (
+    (200, 100, 100), (120, 100, 100), (120, 100, 10), (60, 100, 10), (60, 30, 10), (40, 10, 0)
+)  # fmt: skip
 #: pixels across a figure, likewise
 WIDTHS = (1245, 900, 640)
 #: episodes in a running mean, as in the figures; a tenth of short runs
@@ -118,9 +121,10 @@ def curves(record: Any) -> Mapping[str, Any]:
                if name in own and own[name].shape == own[RETURN].shape}
         for name in dict.fromkeys([RETURN, *(name for own in played.values() for name in own)])
     }  # fmt: skip
-    for points, runs in SIZES:
+    for points, runs, fewer in SIZES:
         at = np.unique(np.linspace(1, longest, min(points, longest)).round().astype(int))
-        lines = {name: {number: _lines(values, at, runs) for number, values in arms.items()}
+        lines = {name: {number: _lines(values, at, runs if name == RETURN else fewer)
+                        for number, values in arms.items()}
                  for name, arms in measures.items()}  # fmt: skip
         told = [each for name, arms in lines.items() if (each := _heights(name, arms))]
         packed = base64.b64encode(gzip.compress(b"".join(each for _, each in told), mtime=0))

@@ -25,6 +25,7 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#e69f00", "#56b4e9", "#009e73"
 BLUE, VERMILION, PURPLE = "#0072b2", "#d55e00", "#cc79a7"
 SOLID, DASHED, DOTTED = "-", (0, (5, 2)), (0, (1, 1.2))
 DASH_DOTTED, LONG = (0, (6, 1.5, 1, 1.5)), (0, (9, 2))
+DASHES = SOLID, DASHED, DOTTED, DASH_DOTTED
 
 
 class Look(NamedTuple):
@@ -48,9 +49,7 @@ LOOKS = {
 #: of lines that have none of their own, one after the other
 OTHERS = [
     Look(color, linestyle)
-    for linestyle, color in product(
-        (SOLID, DASHED, DOTTED, DASH_DOTTED), (GREEN, BLUE, VERMILION, PURPLE, SKY, ORANGE, BLACK)
-    )
+    for linestyle, color in product(DASHES, (GREEN, BLUE, VERMILION, PURPLE, SKY, ORANGE, BLACK))
 ]
 #: of levels that points are compared with
 REFERENCES = Look(BLUE, DOTTED), Look(VERMILION, DASH_DOTTED), Look(PURPLE, DASHED)
@@ -80,7 +79,7 @@ def learning_curves(
         window: episodes in every line's running mean.
         what: the returns are, on the axis.
     """
-    figure, panel = subplots(figsize=(WIDTH, 5.0))
+    figure, panel = subplots(figsize=(WIDTH, 5.0 + 0.2 * max(len(returns) - 6, 0)))
     early = any(np.isnan(values).any() for values in returns.values())
     for (name, values), look in zip(returns.items(), looks([*returns]), strict=True):
         at, said = solved_at.get(name, np.zeros(0)), tables.label(name)
@@ -323,9 +322,17 @@ def look(name: str) -> Look:
 
 
 def looks(names: Sequence[str]) -> list[Look]:
-    """Of lines in one figure: the arms' own, or one after the other where some would be alike."""
-    own = [look(name) for name in names]
-    return own if len(set(own)) == len(own) else list(islice(cycle(OTHERS), len(own)))
+    """Of lines in one figure: the arms' own, dashed otherwise where one of several arms comes
+    again; or one after the other where some would be alike.
+    """
+    own, arms = [look(name) for name in names], {re.split("[,@]", name)[0] for name in names}
+    told: list[Look] = []
+    for one in own:
+        ways = [one, *(Look(one.color, dashes) for dashes in DASHES)]
+        told.append(next((way for way in ways if way not in told), one))
+    known = len(arms) > 1 and arms <= LOOKS.keys()
+    found = told if known else own
+    return found if len(set(found)) == len(own) else list(islice(cycle(OTHERS), len(own)))
 
 
 def swept_map(
