@@ -95,6 +95,16 @@ def test_named_arms_and_another_measure(two, tmp_path):
     assert (next((out / "previous").iterdir()) / "report.html").exists()
 
 
+def test_a_setting_is_compared_with_the_same_setting_elsewhere(tmp_path):
+    rates = {"hparams.agent.learning_rate": [0.25, 0.5]}
+    arms = {f"dyna@hparams.agent.learning_rate={rate}": around(20) for rate in (0.25, 0.5)}
+    sides = [left(tmp_path / name, arms, rates) for name in ("one", "two")]
+    assert compared(*sides, "--out", tmp_path / "out") == 0
+    said = storage.read_json(tmp_path / "out" / "results.json")["comparisons"]
+    ends = [tuple(arm.rpartition("=")[2] for arm in one["arms"]) for one in said]
+    assert ends == [("0.5, one", "0.25, one"), ("0.25, two", "0.25, one"), ("0.5, two", "0.5, one")]
+
+
 @pytest.mark.parametrize(
     ("overrides", "said"),
     [

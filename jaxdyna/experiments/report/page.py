@@ -100,7 +100,7 @@ def _webp(path: Path, width: int) -> bytes:
     with Image.open(path) as picture:
         height = round(picture.height * width / picture.width)
         small = picture if picture.width <= width else picture.resize((width, height))
-        small.convert("RGB").save(file, "WEBP", quality=75, method=4)
+        small.convert("RGB").save(file, "WEBP", quality=75, method=2)
     return file.getvalue()
 
 
