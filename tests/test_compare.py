@@ -136,7 +136,9 @@ def test_folders_are_refused_by_name(two, tmp_path, capsys):
     refused([one, one.parent / "." / "one"], "each of them once", tmp_path, capsys)
     refused([one, tmp_path / "none"], f"{tmp_path / 'none'} has no result", tmp_path, capsys)
     refused([*two, "--arms", "dina"], "--arms dina: there are", tmp_path, capsys)
-    refused([*two, "--measure", "frozen"], "--measure frozen: one does not", tmp_path, capsys)
+    frozen = [*two, "--measure", "frozen.real_steps_to_solve"]
+    refused(frozen, "one has evaluated no policies", tmp_path, capsys)
+    refused([*two, "--measure", "solve_rule"], "--measure", tmp_path, capsys)
     results = storage.read_json(other / "results.json")
     results["runs"]["shard"] = [1, 2]
     storage.write_json(other / "results.json", results)

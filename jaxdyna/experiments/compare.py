@@ -5,7 +5,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import tyro
 from rich.console import Console
@@ -17,6 +17,7 @@ from jaxdyna.experiments.engine.experiment import Entry
 from jaxdyna.experiments.engine.loaded import Loaded, load
 from jaxdyna.experiments.engine.record import recorded, write_report
 from jaxdyna.experiments.report import sections
+from jaxdyna.experiments.report.rows import counted
 from jaxdyna.experiments.report.summaries import restricted
 from jaxdyna.experiments.report.tables import (
     figure_at,
@@ -48,7 +49,9 @@ class Call:
 
     folders: tyro.conf.Positional[tuple[Path, ...]] = setting(help="that --out named")
     arms: tuple[str, ...] = setting((), "which; all without")
-    measure: str = setting("episodes_to_solve", "what is compared, by its path in results.json")
+    measure: Literal[
+        "episodes_to_solve", "real_steps_to_solve", "first_solved", "frozen.real_steps_to_solve"
+    ] = setting("episodes_to_solve", "what is compared, by its path in results.json")
     out: Path = setting(Path("runs/compare"), "folder for the report")
 
 
@@ -143,7 +146,7 @@ def chosen(call: Call) -> dict[str, Side]:
             if said := side.differs(first, *paths):
                 raise ValueError(f"{side.folder} has another {what} than {first.folder}: {said}")
         if not figure_at(side.arm, call.measure):
-            raise ValueError(f"--measure {call.measure}: {side.folder} does not say it of its arms")
+            raise ValueError(f"--measure {call.measure}: {side.folder} has evaluated no policies")
     return {
         f"{name}, {side.folder}" if names.count(name) > 1 else name: side
         for name, side in zip(names, sides, strict=True)
@@ -213,10 +216,9 @@ def table(record: Any) -> str:
         for one in results["comparisons"]
     ]  # fmt: skip
     header = ["compared", "ratio (95% interval)", "p", "Holm's p", "sooner (p)", "they are"]
-    rule = next(iter(results["arms"].values()))["solve_rule"]
-    solved = solve_table(results, results["config"]["measure"])
-    tests = markdown_table(header, rows)
-    return paragraphs(f"{rule.capitalize()}.", markdown_table(*solved), tests, SAID)
+    first, measure = next(iter(results["arms"].values())), results["config"]["measure"]
+    solved = markdown_table(*solve_table(results, measure))
+    return paragraphs(counted(first, measure), solved, markdown_table(header, rows), SAID)
 
 
 def differences(record: Any) -> str:

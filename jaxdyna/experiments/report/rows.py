@@ -33,7 +33,7 @@ def rows(record: Any, column: str = "episodes_to_solve") -> str:
     return paragraphs(
         f"{tables.runs(len(results['runs']['seeds']))} of each row. The first row is the "
         f"`{options.preset}` preset; every other one changes what it says. "
-        f"{_counted(first, column)} At most {options.episodes} episodes; an unsolved run counts as "
+        f"{counted(first, column)} At most {options.episodes} episodes; an unsolved run counts as "
         "what it played. The seeds are the same in "
         f"every row, so that the ratio to «{lines[0][0]}» is paired. "
         f"Fake and real return: medians over the first {FIRST_DREAMS} episodes with dreams.",
@@ -111,7 +111,8 @@ def edge_of_grid(names: Sequence[str], winner: str, last: Sequence[str] = ("1-st
     ]
 
 
-def _counted(arm: Results, column: str) -> str:
+def counted(arm: Results, column: str) -> str:
+    """What a figure of solving counts, in words."""
     if not column.startswith("frozen"):
         return f"{arm['solve_rule'].capitalize()}."
     return (
