@@ -4,6 +4,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -12,34 +13,27 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from jaxdyna import fields
-from jaxdyna.experiments.engine import Experiment, Record, Results, cli, folders, storage
+from jaxdyna.experiments.engine import Curves, Experiment, Record, Results, cli, folders, storage
 from jaxdyna.experiments.engine.experiment import Entry
-from jaxdyna.experiments.engine.loaded import Loaded, load
+from jaxdyna.experiments.engine.loaded import load
 from jaxdyna.experiments.engine.record import recorded, write_report
-from jaxdyna.experiments.report import sections
+from jaxdyna.experiments.report import sections, tables
 from jaxdyna.experiments.report.rows import counted
-from jaxdyna.experiments.report.summaries import restricted
-from jaxdyna.experiments.report.tables import (
-    figure_at,
-    markdown_table,
-    number,
-    paragraphs,
-    solve_table,
-    with_interval,
-)
+from jaxdyna.experiments.report.summaries import restricted, verdict
+from jaxdyna.experiments.report.tables import figure_at, markdown_table, number, paragraphs
 from jaxdyna.fields import setting
 from jaxdyna.statistics import SolveRule, brunner_munzel, holm, ratio_of_means
 
 PROG = "python -m jaxdyna.experiments.compare"
 WHOSE = {"experiment": "compare", "part": "compare"}
-WORLD, BUDGET, RULE = "experiment", "episodes", "solve rule"
+BUDGET, RULE = "episodes", "solve rule"
 SAID = (
     "Ratios are of restricted means: an unsolved run counts with what it played. Intervals are of "
     "the log ratio (delta method, Student's t), p is of a permutation test of the same statistic, "
     "Holm's p takes in all rows. *Sooner*: the share of pairs of runs in which the first needs "
     "less, equal ones half, and Brunner and Munzel's p. Paired are the same seeds of one arm in "
-    "settings of one preset. Told apart: Holm's p is at most 0.05; alike: the ratio's 90% interval "
-    "lies within 0.9 to 1.1."
+    "settings of one preset. Told apart: Holm's p is at most 0.05; the same within a tenth: the "
+    "ratio's 90% interval lies within 0.9 to 1.1."
 )
 
 
@@ -56,28 +50,18 @@ class Call:
 
 
 class Side(NamedTuple):
-    """An entry of one folder."""
+    """An entry of one folder, as that is called."""
 
-    #: as it is called
     folder: str
-    #: what is in it
-    left: Loaded
     entry: Entry
-    #: when a run counts as solved
     rule: SolveRule
-    #: as JSON by dotted path, and what else tells two of them apart
+    #: what ``results.json`` says of it
+    arm: Results
+    curves: Curves
+    #: what runs have in common that belong together seed by seed: those of one arm of one preset
+    whose: list[Any]
+    #: by dotted path, and what else tells two of them apart
     settings: dict[str, Any]
-
-    @property
-    def arm(self) -> Results:
-        """What ``results.json`` says of it."""
-        return self.left.results["arms"][self.entry.name]
-
-    @property
-    def whose(self) -> list[Any]:
-        """What runs have in common that belong together seed by seed: of one arm of one preset."""
-        results, options = self.left.results, self.left.options
-        return [self.entry.arm, results["preset"], options.seed, results["runs"]["seeds"]]
 
     def differs(self, first: "Side", *paths: str) -> str:
         """In which settings, of these paths, it is not as the first, in words."""
@@ -103,15 +87,14 @@ def compare(call: Call, argv: Sequence[str]) -> int:
     """
     sides = chosen(call)
     first = next(iter(sides.values()))
-    runs = [side.left.results["runs"] for side in sides.values()]
     results = WHOSE | {
         "command": f"{PROG} {shlex.join(argv)}",
-        "config": {"episodes": first.left.options.episodes, "measure": call.measure},
-        "runs": max(runs, key=lambda one: len(one["seeds"])),
+        "config": {"episodes": first.settings[BUDGET], "measure": call.measure},
+        "runs": {"seeds": max((side.whose[-1] for side in sides.values()), key=len)},
         "arms": {name: side.arm for name, side in sides.items()},
         "comparisons": compared(sides, call.measure),
     }
-    curves = {name: side.left.curves[side.entry.name] for name, side in sides.items()}
+    curves = {name: side.curves for name, side in sides.items()}
     overlaid = sections.learning_curves(lambda _: first.rule, arms=[*sides], begins=False)
     report = Experiment("compare", "Comparison", {}, lambda _: {},
                         sections=(table, overlaid, differences))  # fmt: skip
@@ -133,14 +116,16 @@ def chosen(call: Call) -> dict[str, Side]:
     """
     if len({folder.resolve() for folder in call.folders}) < max(len(call.folders), 2):
         raise ValueError("give two folders or more, each of them once")
-    sides = [side for folder, name in _short(call.folders).items() for side in _sides(folder, name)]
+    ends = [folder.resolve().name for folder in call.folders]
+    called = ends if len({*ends}) == len(ends) else map(str, call.folders)
+    sides = list(chain(*map(_sides, call.folders, called)))
     known = {name for side in sides for name in side.entry.names}
     if unknown := [arm for arm in call.arms if arm not in known]:
         raise ValueError(f"--arms {unknown[0]}: there are {', '.join(sorted(known))}")
     sides = [side for side in sides if not call.arms or {*call.arms} & {*side.entry.names}]
     first, names = sides[0], [side.entry.name for side in sides]
     world = first.entry.options.world_settings
-    same = {WORLD: (WORLD,), "world": world, "budget": (BUDGET,), RULE: (RULE,)}
+    same = {"experiment": ("experiment",), "world": world, "budget": (BUDGET,), RULE: (RULE,)}
     for side in sides:
         for what, paths in same.items():
             if said := side.differs(first, *paths):
@@ -160,28 +145,24 @@ def _sides(folder: Path, name: str) -> list[Side]:
         ValueError: where it has nothing.
     """
     left = load(folder)
-    rule = recorded(left.results)[0].rule
-    if left.results["runs"]["shard"] != [1, 1]:
+    results, rule = left.results, recorded(left.results)[0].rule
+    if results["runs"]["shard"] != [1, 1]:
         raise ValueError(f"{folder} is a shard: merge it with the others first")
-    versions = {f"version of {name}": said for name, said in left.results["versions"].items()}
-    about = {WORLD: left.results["experiment"], BUDGET: left.options.episodes,
-             "code": left.results["source"], **versions}  # fmt: skip
+    if not left.curves or left.curves.keys() - left.entries.keys():
+        raise ValueError(f"{folder} has no runs, or of an arm that there is no more")
+    versions = {f"version of {name}": said for name, said in results["versions"].items()}
+    about = {"experiment": results["experiment"], BUDGET: left.options.episodes,
+             "code": results["source"], **versions}  # fmt: skip
     sides = []
-    for entry in (left.entries[arm] for arm in left.results["arms"] if arm in left.curves):
-        solves = rule and rule(entry.options)
-        if solves is None:
+    for arm, curves in left.curves.items():
+        entry, own = left.entries[arm], fields.leaves(left.entries[arm].options)
+        if rule is None or (solves := rule(entry.options)) is None:
             raise ValueError(f"{folder} has no rule by which a run has solved: nothing to compare")
-        own = {leaf.path: fields.plain(leaf.value) for leaf in fields.leaves(entry.options)
-               if leaf.path != "arms"}  # fmt: skip
-        sides.append(Side(name, left, entry, solves, own | about | {RULE: fields.plain(solves)}))
+        told = {leaf.path: fields.plain(leaf.value) for leaf in own if leaf.path != "arms"} | about
+        whose = [entry.arm, results["preset"], left.options.seed, results["runs"]["seeds"]]
+        sides.append(Side(name, entry, solves, results["arms"][arm], curves, whose,
+                          told | {RULE: fields.plain(solves)}))  # fmt: skip
     return sides
-
-
-def _short(paths: Sequence[Path]) -> dict[Path, str]:
-    """The ends of paths, as long as it takes to tell them apart."""
-    parts = [path.resolve().parts for path in paths]
-    ends = (["/".join(each[-many:]) for each in parts] for many in range(1, 100))
-    return dict(zip(paths, next(end for end in ends if len({*end}) == len(end)), strict=True))
 
 
 def compared(sides: Mapping[str, Side], measure: str) -> list[Results]:
@@ -194,11 +175,9 @@ def compared(sides: Mapping[str, Side], measure: str) -> list[Results]:
         for other, first in (same + before)[:1]:
             mine, theirs = (restricted(figure_at(one.arm, measure)) for one in (side, first))
             paired = side.whose == first.whose
-            about = {"arms": [name, other], "differs": side.differs(first, ""), "paired": paired}
-            ratio = ratio_of_means(mine, theirs, paired)
-            said.append(
-                about | ratio | {"sooner_p": None if paired else brunner_munzel(mine, theirs)}
-            )
+            about = {"arms": [name, other], "differs": side.differs(first, ""), "paired": paired,
+                     "sooner_p": None if paired else brunner_munzel(mine, theirs)}  # fmt: skip
+            said.append(about | ratio_of_means(mine, theirs, paired))
     known = [one for one in said if one["p"] is not None]
     for one, p in zip(known, holm([one["p"] for one in known]), strict=True):
         one["holm_p"] = float(p)
@@ -210,14 +189,14 @@ def table(record: Any) -> str:
     results = record.results
     rows = [
         [" : ".join(one["arms"]) + " (paired)" * one["paired"],
-         with_interval({"mean": one["ratio"], "ci95": one["ci95"]}, 2), _p(one["p"]),
+         tables.with_interval({"mean": one["ratio"], "ci95": one["ci95"]}, 2), _p(one["p"]),
          _p(one.get("holm_p")), f"{number(one['sooner'], 2)} ({_p(one['sooner_p'])})",
-         _verdict(one)]
+         "-" if one["p"] is None else verdict(one["holm_p"], one["ci90"]) or "told apart"]
         for one in results["comparisons"]
     ]  # fmt: skip
     header = ["compared", "ratio (95% interval)", "p", "Holm's p", "sooner (p)", "they are"]
     first, measure = next(iter(results["arms"].values())), results["config"]["measure"]
-    solved = markdown_table(*solve_table(results, measure))
+    solved = markdown_table(*tables.solve_table(results, measure))
     return paragraphs(counted(first, measure), solved, markdown_table(header, rows), SAID)
 
 
@@ -232,15 +211,6 @@ def differences(record: Any) -> str:
 
 def _p(value: float | None) -> str:
     return "< 0.0001" if value is not None and value < 1e-4 else number(value, 4)
-
-
-def _verdict(one: Results) -> str:
-    if one["p"] is None:
-        return "-"
-    if one["holm_p"] <= 0.05:
-        return "told apart"
-    low, high = one["ci90"]
-    return "alike" if low >= 0.9 and high <= 1.1 else "not told apart"
 
 
 if __name__ == "__main__":

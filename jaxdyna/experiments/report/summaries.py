@@ -19,7 +19,6 @@ UNITS = {
     "real_steps_to_solve": "real steps before the solving window",
     "first_solved": "episodes up to the solving window's first",
 }
-NOT_TOLD_APART = " They are not told apart."
 
 
 def describe_arm(curves: Curves, rule: SolveRule, budget: int) -> Results:
@@ -125,7 +124,8 @@ def comparison(
         beside += [f"the paper's is {paper[name]:.2g}"] if name in paper else []
         said = f" ({', '.join(beside)})" if beside else ""
         found = f"{name} needs **{ratio['ratio']:.2f}** of {other}'s {UNITS[figure]}"
-        lines.append(f"{found}{said}.{_verdict(ratio)}")
+        they_are = verdict(ratio["p"], ratio["ci90"])
+        lines.append(f"{found}{said}.{f' They are {they_are}.' if they_are else ''}")
     if any(arms[name][figure]["solved"] < arms[name][figure]["seeds"] for name in arms):
         lines.append("Unsolved runs count with what they played.")
     return lines
@@ -164,12 +164,11 @@ def break_even(
     return (extra, saved, 1000 * max(extra, 0.0) / saved) if saved > 0 else None
 
 
-def _verdict(ratio: Results) -> str:
-    """What a ratio's p and intervals allow to say."""
-    if ratio["p"] is None or ratio["p"] <= 0.05:
+def verdict(p: float | None, ci90: Sequence[float] | None) -> str:
+    """What two are by p and the 90% interval of their ratio; empty where they are told apart."""
+    if p is None or ci90 is None or p <= 0.05:
         return ""
-    low, high = ratio["ci90"]
-    return " They are the same within a tenth." if low >= 0.9 and high <= 1.1 else NOT_TOLD_APART
+    return "the same within a tenth" if ci90[0] >= 0.9 and ci90[1] <= 1.1 else "not told apart"
 
 
 def comparisons(
