@@ -55,7 +55,8 @@ def page(record: Any, text: str) -> str:
     _embed(parts[1], record.out)
     head, rest = (markdown.renderer.render(part, markdown.options, {}) for part in parts)
     told = json.dumps(curves(record)).replace("<", "\\u003c")
-    style, script = (Path(__file__).with_name(f"page.{kind}").read_text() for kind in ("css", "js"))
+    own = (Path(__file__).with_name(f"page.{kind}") for kind in ("css", "js"))
+    style, script = (path.read_text("utf-8") for path in own)
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -77,31 +78,31 @@ def _captioned(renderer: Any, tokens: Sequence[Token], number: int, *rest: Any) 
 
 
 def _embed(tokens: Sequence[Token], folder: Path) -> None:
-    """Puts pictures of the folder into the page: films as they are, figures so small that all of
-    them fit.
-    """
+    """Puts pictures of the folder into the page, figures so small that all of them fit."""
     shown = [one for token in tokens for one in token.children or () if one.type == "image"]
-    paths = {id(one): folder / unquote(str(one.attrs["src"])) for one in shown}
-    figures = {path: b"" for path in paths.values() if path.suffix == ".png" and path.is_file()}
     for width in WIDTHS:
-        figures = {path: _webp(path, width) for path in figures}
-        if sum(map(len, figures.values())) * 4 / 3 <= FIGURES_BYTES:
+        data = [_data(folder / unquote(str(one.attrs["src"])), width) for one in shown]
+        if sum(len(one) for one in data if one.startswith("data:image/webp")) <= FIGURES_BYTES:
             break
-    for one in shown:
-        path = paths[id(one)]
-        film = path.read_bytes() if path.suffix == ".gif" and path.is_file() else b""
-        kind, data = ("webp", figures[path]) if path in figures else ("gif", film)
-        one.attrs["src"] = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+    for one, url in zip(shown, data, strict=True):
+        one.attrs["src"] = url
 
 
-def _webp(path: Path, width: int) -> bytes:
-    """A figure, no wider than so many pixels."""
-    file = io.BytesIO()
-    with Image.open(path) as picture:
-        height = round(picture.height * width / picture.width)
-        small = picture if picture.width <= width else picture.resize((width, height))
-        small.convert("RGB").save(file, "WEBP", quality=75, method=2)
-    return file.getvalue()
+def _data(path: Path, width: int) -> str:
+    """An address that is the picture: of a film as it is, of a figure no wider than so many pixels;
+    empty where there is none.
+    """
+    if path.suffix not in (".gif", ".png") or not path.is_file():
+        return ""
+    kind, data = "gif", path.read_bytes()
+    if path.suffix == ".png":
+        kind, file = "webp", io.BytesIO()
+        with Image.open(path) as picture:
+            small = picture.convert("RGB")
+        small.thumbnail((width, 10**6))
+        small.save(file, "WEBP", quality=75, method=2)
+        data = file.getvalue()
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 
 def curves(record: Any) -> Mapping[str, Any]:
