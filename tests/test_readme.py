@@ -67,7 +67,7 @@ def test_the_code_runs_and_hands_a_trained_model_to_gymnasium():
 
 def test_the_code_of_the_other_pages_runs():
     for page in DOCS:
-        if page.name in ("your-own-problem.md", "running-experiments.md"):
+        if page.name.startswith("your-own-") or page.name == "running-experiments.md":
             # which run in `test_guide` and `test_loaded`
             continue
         exec(compile(code(page), name(page), "exec"), {})
@@ -101,3 +101,10 @@ def test_the_readme_is_short_and_says_first_how_to_test():
 @pytest.mark.parametrize("page", [README, *DOCS], ids=name)
 def test_tables_fit_a_page(page):
     assert columns(page) <= 6
+
+
+def test_the_reference_has_every_room_of_the_library():
+    pages = "".join(page.read_text() for page in (ROOT / "docs" / "api").glob("*.md"))
+    said = set(re.findall(r"automodule:: jaxdyna\.(\w+)", pages))
+    rooms = {path.stem for path in (ROOT / "jaxdyna").glob("[!_]*") if path.suffix in ("", ".py")}
+    assert said == rooms

@@ -20,6 +20,7 @@ from tempfile import TemporaryDirectory
 
 TREE = Path(__file__).parents[2]
 EXTRAS = "logging,test"
+UNTESTED = ("bench", "box2d", "docs")
 """The planning and atari extras' packages are in that of the tests."""
 QUICK = [
     f"tests/test_{name}.py"
@@ -41,8 +42,8 @@ def lowest(tree: Path) -> list[str]:
         ValueError: where a dependency has no lower bound, or one is declared twice.
     """
     project = tomllib.loads((tree / "pyproject.toml").read_text())["project"]
-    extras = project["optional-dependencies"]  # but bench's: PyTorch is gigabytes
-    tested = (packages for name, packages in extras.items() if name != "bench")
+    extras = project["optional-dependencies"]  # of bench PyTorch is gigabytes, of the rest no test
+    tested = (packages for name, packages in extras.items() if name not in UNTESTED)
     declared = itertools.chain(project["dependencies"], *tested)
     pins = {}
     for each in declared:
