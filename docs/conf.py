@@ -99,7 +99,7 @@ def settings(app: Sphinx, what: str, name: str, of: Any, options: Any, lines: li
     if what == "class" and is_dataclass(of):
         declared = {field.name: field.metadata.get("jaxdyna") for field in fields(of)}
         said = {field: leaf for field, leaf in declared.items() if leaf and leaf.help}
-        lines += [f":ivar {field}: {sentence(leaf)}" for field, leaf in said.items()] + [""]
+        lines += [f":param {field}: {sentence(leaf)}" for field, leaf in said.items()] + [""]
         for field in declared.keys() & vars(of).keys():
             delattr(of, field)
     for field in getattr(of, "_fields", ()):
