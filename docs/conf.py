@@ -40,6 +40,7 @@ copyright = author
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 root_doc = "README"
 include_patterns = ["*.md", "docs/**.md", "experiments/**.md"]
+exclude_patterns = [".*", "build", "runs"]
 myst_heading_anchors = 4
 html_theme = "furo"
 html_title = "jaxdyna"
