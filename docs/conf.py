@@ -69,10 +69,11 @@ def contents(app: Sphinx, page: str, source: list[str]) -> None:
     if page == root_doc:
         lists = {name: [f"docs/{each}" for each in pages] for name, pages in CONTENTS.items()}
     elif page == "experiments/README":
-        lists = {"Records": ["*/report"]}
+        records = sorted(here.glob("*/report.md"))
+        lists = {"Records": [f"{path.parent.name} <{path.parent.name}/report>" for path in records]}
     for name, pages in lists.items():
-        options = f":hidden:\n:glob:\n:caption: {name}"
-        source[0] += "\n".join(["\n```{toctree}", options, "", *pages, "```\n"])
+        head = ["\n```{toctree}", ":hidden:", f":caption: {name}", ""]
+        source[0] += "\n".join([*head, *pages, "```\n"])
 
 
 def readable(
@@ -80,7 +81,8 @@ def readable(
 ) -> tuple[str | None, Any]:
     """Signatures with the names of default functions and modules in place of what they print."""
     if signature:
-        signature = re.sub(r"<(PjitFunction of <)?function (\w+\.)*(\w+)>+", r"\3", signature)
+        signature = re.sub(r"<locals>|PjitFunction of ", "", signature)
+        signature = re.sub(r"<+function [\w.]*?(\w+)>+", r"\1", signature)
         signature = re.sub(r"<.*?>+", "...", signature)  # lambdas, factories, sentinels
         signature = re.sub(r"\(\s+# attributes.*?\s\)", "(...)", signature, flags=re.DOTALL)
         signature = re.sub(r", parent: .*?, name: [^=]*= None", "", signature)  # of Flax
