@@ -108,3 +108,9 @@ def test_the_reference_has_every_room_of_the_library():
     said = set(re.findall(r"automodule:: jaxdyna\.(\w+)", pages))
     rooms = {path.stem for path in (ROOT / "jaxdyna").glob("[!_]*") if path.suffix in ("", ".py")}
     assert said == rooms
+
+
+@pytest.mark.parametrize("page", DOCS, ids=name)
+def test_a_page_is_in_the_side_bar(page):
+    listed = page.relative_to(ROOT / "docs").with_suffix("")
+    assert f'"{listed}"' in (ROOT / "docs" / "conf.py").read_text(), "add it to CONTENTS there"
