@@ -12,11 +12,6 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxdyna.fields import check_counts
 from jaxdyna.types import Key, PyTree, check_key
 
-AXES = ("settings", "seeds")
-"""Names of the vmapped axes, for `jaxdyna.dyna.make_train` and `make_advance`."""
-
-RUNS = "runs"  #: name of the axis of `over_runs`
-
 DEVICES = "devices"
 
 
@@ -52,7 +47,7 @@ def _sweep(train, keys, hparams, settings, block):
         def setting(hparams):
             return _over_seeds(lambda key: train(key, hparams), keys, block)
 
-        return _named_vmap(setting, (_axes(hparams),), settings, AXES[0])(hparams)
+        return _vmap(setting, (_axes(hparams),), settings)(hparams)
 
     devices = jax.devices()
     count = max(n for n in range(1, len(devices) + 1) if len(keys) % n == 0)
@@ -68,12 +63,12 @@ def _sweep(train, keys, hparams, settings, block):
 
 def over_runs(function: Callable[..., PyTree], size: int) -> Callable[..., PyTree]:
     """``function`` of one run, over the leading axis of all its arguments: ``size`` runs computed
-    together, along the axis `RUNS`.
+    together.
     """
     check_counts(size=size)
 
     def together(*arguments: Any) -> PyTree:
-        return _named_vmap(function, (0,) * len(arguments), size, RUNS)(*arguments)
+        return _vmap(function, (0,) * len(arguments), size)(*arguments)
 
     return together
 
@@ -82,7 +77,7 @@ def _over_seeds(function: Callable[[Key], PyTree], keys: Key, block: int | None)
     """``function`` over the keys, at most ``block`` of them at once."""
 
     def at_once(keys):
-        return _named_vmap(function, (0,), len(keys), AXES[1])(keys)
+        return _vmap(function, (0,), len(keys))(keys)
 
     seeds = len(keys)
     if block is None or block >= seeds:
@@ -94,19 +89,19 @@ def _over_seeds(function: Callable[[Key], PyTree], keys: Key, block: int | None)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:seeds], results)
 
 
-def _named_vmap(function: Callable, axes: tuple, size: int, name: str) -> Callable[..., PyTree]:
-    """``vmap`` along a named axis; one of length 1 is taken off first, because a convolution with
-    weights of its own for each of one run is slower on a CPU than one that knows of no runs.
+def _vmap(function: Callable, axes: tuple, size: int) -> Callable[..., PyTree]:
+    """``vmap``; an axis of length 1 is taken off first, because a convolution with weights of its
+    own for each of one run is slower on a CPU than one that knows of no runs.
     """
     if size != 1:
-        return jax.vmap(function, axes, axis_size=size, axis_name=name)
+        return jax.vmap(function, axes, axis_size=size)
 
     def single(*arguments: Any) -> PyTree:
         bare = [
             jax.tree.map(lambda leaf: leaf[0] if jnp.ndim(leaf) else leaf, part)
             for part in arguments
         ]
-        return jax.vmap(lambda: function(*bare), axis_size=1, axis_name=name)()
+        return jax.vmap(lambda: function(*bare), axis_size=1)()
 
     return single
 

@@ -1,6 +1,8 @@
-"""Pytrees of arrays and keys: by the names of their leaves, and in one another's types."""
+"""Pytrees of arrays and keys: by the names of their leaves, in one another's types, and computed
+only where they are needed.
+"""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -90,15 +92,37 @@ def where(flag: jax.Array | bool, new: Any, old: Any) -> Any:
     return as_held(jax.tree.map(lambda new, old: jnp.where(flag, new, old), new, old), old)
 
 
+def where_needed(needed: jax.Array | bool, work: Callable[[], Any], idle: Any) -> Any:
+    """What ``work`` returns where ``needed``, a bool scalar, is true, else ``idle``. Where none of
+    what is vmapped together needs it, it costs nothing.
+    """
+    needed = jnp.asarray(needed, bool)
+    done = jax.lax.cond(anywhere(needed), lambda: as_held(work(), idle), lambda: idle)
+    return where(_own(needed), done, idle)
+
+
 @jax.custom_batching.custom_vmap
 def anywhere(needed: jax.Array) -> jax.Array:
-    """Whether any of what is vmapped together needs it, a bool scalar; the same for all of them."""
+    """Whether any of what is vmapped together needs it; the same for all of them."""
     return needed
 
 
 @anywhere.def_vmap
 def _anywhere_of(size: int, batched: list[bool], needed: jax.Array) -> tuple[jax.Array, bool]:
     return anywhere(needed.any() if batched[0] else needed), False
+
+
+@jax.custom_batching.custom_vmap
+def _own(needed: jax.Array) -> jax.Array:
+    """Whether this one needs it, where others may not; true where it is the same for all, since
+    `anywhere` has chosen then, and nothing is copied.
+    """
+    return jnp.bool_(True)
+
+
+@_own.def_vmap
+def _own_of(size: int, batched: list[bool], needed: jax.Array) -> tuple[jax.Array, bool]:
+    return (needed, True) if batched[0] else (_own(needed), False)
 
 
 def difference(one: Any, other: Any, tolerance: float = 0) -> str:

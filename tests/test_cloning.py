@@ -13,7 +13,6 @@ from jaxdyna import rollout, sweep
 from jaxdyna.agents import CloningConfig, ReinforceConfig, ReinforceHParams, cloning, policy_logits
 from jaxdyna.agents.cloning import cross_entropy_loss, margin_loss
 from jaxdyna.dyna import Expert, make_train
-from jaxdyna.sweep import AXES
 
 EXAMPLE = (jax.ShapeDtypeStruct((4,), np.float32), jax.ShapeDtypeStruct((), np.int32))
 LOGITS = policy_logits(2, ReinforceConfig(hidden=(8,)))
@@ -148,7 +147,7 @@ def test_an_expert_sees_the_model_and_may_play_to_the_end():
     agent = AGENT._replace(update_expert=learn_nothing)
     dyna = WITHOUT._replace(agent=agent, expert=Expert(act))
     keys = jax.random.split(jax.random.key(0), 2)
-    _, metrics = sweep(make_train(dyna, TEN, AXES), keys, LONGER)
+    _, metrics = sweep(make_train(dyna, TEN), keys, LONGER)
     np.testing.assert_array_equal(metrics["agent_loss"][0, :, 2:], 0)
     assert np.isfinite(metrics["model_loss"]).all()
 

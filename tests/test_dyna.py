@@ -11,9 +11,8 @@ from parts import AGENT, DYNA, ENV, MODEL_FREE, ORACLE, SMALL, assert_close, ass
 
 from jaxdyna import sweep
 from jaxdyna.agents import ReinforceConfig, ReinforceHParams, reinforce
-from jaxdyna.dyna import DynaConfig, Expert, make_advance, make_init, make_train, survived
+from jaxdyna.dyna import DynaConfig, Expert, make_init, make_step, make_train, survived
 from jaxdyna.replay import memory
-from jaxdyna.sweep import AXES
 from jaxdyna.types import Transition
 
 WITHOUT_DREAMS = DYNA._replace(dream=None, diagnose=None)
@@ -67,10 +66,15 @@ def test_masked_real_first_is_a_later_start_of_dreams():
 
 
 def test_a_run_in_pieces_is_the_same_run(dyna_run, init):
-    advance = jax.jit(make_advance(DYNA, SMALL))
+    step = make_step(DYNA, SMALL)
+
+    @jax.jit
+    def piece(state, episodes, hparams):
+        return jax.lax.scan(lambda state, one: step(state, one, hparams), state, episodes)
+
     state = init(jax.random.key(0), hparams())
-    state, first = advance(state, jnp.arange(0, 3), hparams())
-    state, second = advance(state, jnp.arange(3, 6), hparams())
+    state, first = piece(state, jnp.arange(0, 3), hparams())
+    state, second = piece(state, jnp.arange(3, 6), hparams())
     assert_same(state, dyna_run[0])
     assert_same(jax.tree.map(lambda *parts: jnp.concatenate(parts), first, second), dyna_run[1])
 
@@ -91,7 +95,7 @@ def test_rest_when_safe():
     resting = DYNA._replace(safe=survived)
     params = hparams(env=ENV.default_params.replace(max_steps=12), real_weight=0.0)
     keys = jax.random.split(jax.random.key(0), 5)
-    state, metrics = sweep(make_train(resting, config, AXES), keys, params, block=2)
+    state, metrics = sweep(make_train(resting, config), keys, params, block=2)
     full = metrics["real_length"] == 12
     rested = np.isnan(metrics["model_loss"])
     assert rested.any() and full[rested].all()  # a fall in the very last step is no rest

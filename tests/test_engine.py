@@ -19,12 +19,12 @@ import tiny
 from parts import DYNA, MODEL, MODEL_FREE, SMALL, hparams
 from renamed import respelled
 
-from jaxdyna.dyna.conditional import where_needed
+from jaxdyna.dyna.conditional import unknown
 from jaxdyna.experiments.engine import Arm, Engine, InputError, Work, checkpoint, runs_of, work
 from jaxdyna.experiments.engine.checkpoint import Store
 from jaxdyna.experiments.engine.work import Interrupted, joined
 from jaxdyna.experiments.study.arms import Hooks, dyna_arm
-from jaxdyna.sweep import RUNS
+from jaxdyna.trees import where_needed
 
 PIECE, UNITS = 4, 11
 SEEDS = range(5)
@@ -37,7 +37,7 @@ def init(key, hparams):
     return {"weights": weights, "same": weights, "total": 0.0, "key": key}
 
 
-def step(state, data, unit, hparams, axes=(RUNS,)):
+def step(state, data, unit, hparams):
     """A unit of which some runs need a part and others do not."""
     key, key_noise, key_rare = jax.random.split(state["key"], 3)
     noise = jax.random.normal(key_noise, (3,))
@@ -48,7 +48,8 @@ def step(state, data, unit, hparams, axes=(RUNS,)):
         return jnp.sin(change), {"rare": change.sum()}
 
     needed = (noise[0] > 0) & hparams["busy"]
-    weights, metrics = where_needed(unit >= 2, needed, axes, rare, weights)
+    idle = weights, unknown(jax.eval_shape(rare)[1])
+    weights, metrics = where_needed((unit >= 2) & needed, rare, idle)
     total = state["total"] + jnp.abs(noise).sum()
     new = {"weights": weights, "same": state["same"], "total": total, "key": key}
     return new, {"total": total, "show_weights": weights, "unit": unit * 1.0} | metrics

@@ -22,7 +22,7 @@ from jaxdyna.replay import prioritized
 from jaxdyna.replay.frames import FrameReplay
 from jaxdyna.replay.n_step import Window, take_window
 from jaxdyna.replay.prioritized import Prioritized
-from jaxdyna.trees import anywhere, as_held, where
+from jaxdyna.trees import as_held, where_needed
 from jaxdyna.types import Agent, Key, Transition, check_transitions
 
 Values = Callable[[Any, jax.Array], jax.Array]
@@ -193,8 +193,7 @@ def _begin_anew(state: DQNState, begun: Callable[[], dict], every: int) -> DQNSt
     """With networks and optimiser as at the start, once they have made so many gradient steps."""
     due = state.steps >= every
     held = {name: getattr(state, name) for name in BEGUN}
-    new = jax.lax.cond(anywhere(due), lambda: as_held(begun(), held), lambda: held)
-    return replace(state, **where(due, new, held))
+    return replace(state, **where_needed(due, begun, held))
 
 
 def _descend_often(
@@ -304,9 +303,5 @@ def _weighted(transitions: Transition) -> Transition:
 
 
 def _where(needed: jax.Array, work: Callable[[], Learned], state: DQNState) -> Learned:
-    """What ``work`` returns, or the state as it is. Under ``vmap`` the work is skipped where no run
-    needs it.
-    """
-    idle = (state, {"loss": jnp.float32(0)})
-    done = jax.lax.cond(anywhere(needed), lambda: as_held(work(), idle), lambda: idle)
-    return where(needed, done, idle)
+    """What ``work`` returns, or the state as it is."""
+    return where_needed(needed, work, (state, {"loss": jnp.float32(0)}))

@@ -12,12 +12,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.dyna.conditional import mean_of_done, where_needed
+from jaxdyna.dyna.conditional import mean_of_done, unknown
 from jaxdyna.dyna.config import DynaConfig, DynaHParams
 from jaxdyna.dyna.parts import Dyna, DynaState, Metrics, check_hparams, check_parts, check_shapes
 from jaxdyna.replay import ring
 from jaxdyna.rollout import rollout
-from jaxdyna.trees import finite
+from jaxdyna.trees import finite, where_needed
 from jaxdyna.types import Key, Transition, check_key
 
 DIVERGED = ("world", "agent", "model")
@@ -64,34 +64,12 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
     return init
 
 
-def make_advance(
-    dyna: Dyna, config: DynaConfig, axes: tuple[str, ...] = ()
-) -> Callable[[DynaState, jax.Array, DynaHParams], tuple[DynaState, Metrics]]:
-    """Some real episodes with their dreams. A run cut into pieces is the same run. ``dyna`` and
-    ``config`` as of `make_init`.
-
-    Args:
-        axes: names of the axes that runs are vmapped along (`jaxdyna.sweep.AXES`): then work that
-            none of them needs costs nothing.
-
-    Returns:
-        ``advance(state, episodes, hparams) -> (state, metrics)``: plays those numbered ``episodes``
-        (int ``[K]``, from 0); metrics are ``[K, ...]``. Keep ``episodes`` unbatched under ``vmap``:
-        then dreams of the first phase cost nothing.
-    """
-    step = make_step(dyna, config, axes)
-
-    def advance(state: DynaState, episodes: jax.Array, hparams: DynaHParams):
-        return jax.lax.scan(lambda state, episode: step(state, episode, hparams), state, episodes)
-
-    return advance
-
-
 def make_step(
-    dyna: Dyna, config: DynaConfig, axes: tuple[str, ...] = ()
+    dyna: Dyna, config: DynaConfig
 ) -> Callable[[DynaState, jax.Array, DynaHParams], tuple[DynaState, Metrics]]:
-    """One real episode of `make_advance`, which says what the arguments are:
-    ``step(state, episode, hparams) -> (state, metrics)``; ``episode`` is its number, int.
+    """A real episode with its dreams: ``step(state, episode, hparams) -> (state, metrics)``, where
+    ``episode`` is its number, int, from 0. Arguments as of `make_init`. Work that none of the runs
+    vmapped together needs costs nothing.
     """
 
     def step(state: DynaState, episode: jax.Array, hparams: DynaHParams):
@@ -114,19 +92,21 @@ def make_step(
                 judgement = dyna.diagnose(state.model.params, real, key_judge)
             train = partial(train_model, dyna, config, state, key_sample, key_update, hparams)
             of_use = _model_is_of_use(dyna, config, episode)
-            model, training = where_needed(of_use, awake, axes, train, state.model)
+            idle = state.model, unknown(jax.eval_shape(train)[1])
+            model, training = where_needed(of_use & awake, train, idle)
             state = replace(state, model=model)
             metrics |= judgement | training
         if _dreams(dyna, config):
-            dream = partial(_dream, dyna, config, axes, state, episode, key_dream, hparams)
+            dream = partial(_dream, dyna, config, state, episode, key_dream, hparams)
             before = (state.agent, state.dreams_safe)
-            (agent, safe), dreamed = where_needed(dreaming, awake, axes, dream, before)
+            idle = before, unknown(jax.eval_shape(dream)[1])
+            (agent, safe), dreamed = where_needed(dreaming & awake, dream, idle)
             state = replace(state, agent=agent, dreams_safe=safe)
             metrics |= dreamed
         if config.eval_every > 0 and (dyna.expert is None or dyna.expert.episodes is not None):
             due = (episode + 1) % config.eval_every == 0
             judge = partial(evaluate, dyna, config, state.agent, key_evaluate, hparams)
-            metrics |= where_needed(due, True, axes, lambda: (None, judge()), None)[1]
+            metrics |= where_needed(due, judge, unknown(jax.eval_shape(judge)))
         metrics["diverged"] = _diverged(real, metrics["agent_loss"], state.model)
         return state, metrics
 
@@ -158,18 +138,19 @@ def _diverged(real: Transition, agent_loss: jax.Array, model: Any) -> jax.Array:
 
 
 def make_train(
-    dyna: Dyna, config: DynaConfig, axes: tuple[str, ...] = ()
+    dyna: Dyna, config: DynaConfig
 ) -> Callable[[Key, DynaHParams], tuple[DynaState, Metrics]]:
-    """A whole run as one pure function; for the arguments see `make_advance`.
+    """A whole run as one pure function. Arguments as of `make_init`.
 
     Returns:
         ``train(key, hparams) -> (state, metrics)``; metrics are ``[config.num_episodes, ...]``.
         Its ``check(hparams)`` raises a `ValueError`: `jaxdyna.sweep` asks it before all is traced.
     """
-    init, advance = make_init(dyna, config), make_advance(dyna, config, axes)
+    init, step = make_init(dyna, config), make_step(dyna, config)
 
     def train(key: Key, hparams: DynaHParams) -> tuple[DynaState, Metrics]:
-        return advance(init(key, hparams), jnp.arange(config.num_episodes), hparams)
+        start, episodes = init(key, hparams), jnp.arange(config.num_episodes)
+        return jax.lax.scan(lambda state, number: step(state, number, hparams), start, episodes)
 
     train.check = partial(check_hparams, dyna, config)  # type: ignore[attr-defined]
     return train
@@ -312,7 +293,7 @@ def play_dreams(
     return rollout(dyna.dream.env, act, key, env_params, config.dream_episodes, num_steps=steps)
 
 
-def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metrics]:
+def _dream(dyna, config, state, episode, key, hparams) -> tuple[Any, Metrics]:
     """Updates on fake episodes: the agent's new state, and whether these were safe in the end."""
     env_params = dyna.dream.params(state, hparams)
     weight = jnp.where(episode + 1 >= hparams.num_real_first, hparams.fake_weight, 0.0)
@@ -331,7 +312,8 @@ def _dream(dyna, config, axes, state, episode, key, hparams) -> tuple[Any, Metri
         key, key_play, key_update = jax.random.split(key, 3)
         work = partial(update, agent, row, key_play, key_update)
         needed = True if dyna.safe is None else row < SAFE_IN_A_ROW
-        (agent, row), metrics = where_needed(True, needed, axes, work, (agent, row))
+        idle = (agent, row), unknown(jax.eval_shape(work)[1])
+        (agent, row), metrics = where_needed(needed, work, idle)
         return (agent, row, key), metrics
 
     start = (state.agent, jnp.int32(0), key)

@@ -51,8 +51,7 @@ class Work(NamedTuple):
 
     init: Callable[[Key, Any], Any]  #: ``(key, hparams) -> state``: a run before its first unit
     #: ``(state, data, unit, hparams) -> (state, metrics)``: the unit numbered ``unit`` (from 0),
-    #: such as a real episode or a gradient step; metrics are float arrays by name. It may use the
-    #: axis `jaxdyna.sweep.RUNS`, along which runs are computed together.
+    #: such as a real episode or a gradient step; metrics are float arrays by name.
     step: Callable[[Any, Any, jax.Array, Any], tuple[Any, dict[str, jax.Array]]]
     #: ``(key, hparams) -> data``: a run's fixed input, made again on resume instead of saved; None
     #: for none. It gets the key that ``init`` gets.

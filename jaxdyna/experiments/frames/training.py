@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from jaxdyna.dyna.conditional import where_needed
+from jaxdyna.dyna.conditional import unknown
 from jaxdyna.dyna.loop import DIVERGED
 from jaxdyna.experiments.engine import Arm, Work
 from jaxdyna.experiments.frames import judging
@@ -17,7 +17,7 @@ from jaxdyna.experiments.frames.options import Training
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
 from jaxdyna.fields import changed
 from jaxdyna.models import PixelHParams
-from jaxdyna.trees import finite
+from jaxdyna.trees import finite, where_needed
 from jaxdyna.types import DynamicsModel, Key
 
 PIECE = 100
@@ -62,7 +62,7 @@ def frame_work(
         if loss_every:
             look = partial(losses_of, learner, data, stage)
             due = (number + 1) % loss_every == 0
-            looked = where_needed(due, True, (), lambda: (None, look()), None)[1]
+            looked = where_needed(due, look, unknown(jax.eval_shape(look)))
         rate = 0.5 * (1 + jnp.cos(jnp.pi * number / stage.updates)) * stage.learning_rate
         state, losses = model.update(learner.model, transitions, key_update, hparams_of(rate))
         broken = jnp.where(finite(losses["loss"]), 0.0, 1.0 + DIVERGED.index("model"))

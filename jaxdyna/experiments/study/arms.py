@@ -14,7 +14,6 @@ from jaxdyna.dyna.frames import parts, true_dyna
 from jaxdyna.envs import FrameStack, Hosted
 from jaxdyna.experiments.engine import Arm, Runs, Trained, Work
 from jaxdyna.fields import LARGEST, SettingError
-from jaxdyna.sweep import RUNS
 from jaxdyna.types import Agent, Key
 
 Made = Callable[[], Arm]
@@ -61,7 +60,7 @@ class Hooks(NamedTuple):
 @cache
 def dyna_work(dyna: Dyna, config: DynaConfig, hooks: Hooks) -> Work:
     """A run of Dyna as work, whose unit is a real episode."""
-    play = make_step(dyna, config, (RUNS,))
+    play = make_step(dyna, config)
 
     def told(judged: Judged | None) -> Any:
         return judged and (lambda state, _, *rest: judged(dyna, config, state, *rest))
