@@ -21,7 +21,7 @@ from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.engine.session import Session
 from jaxdyna.experiments.maze import MAZE
 from jaxdyna.experiments.maze.arms import agent_of, model_of, parts
-from jaxdyna.experiments.planning import budgets, claim, deciding, grounds
+from jaxdyna.experiments.planning import budgets, deciding, grounds, report
 from jaxdyna.experiments.planning.budgets import Contender, Ground
 from jaxdyna.experiments.report.rows import _ratio
 from jaxdyna.fields import changed
@@ -172,7 +172,7 @@ def test_the_claim_in_numbers_by_hand():
         "mpc_clone, few": {"later_return": [100.0, 160.0]},
         "mpc": {"later_return": [1.0, 1.0]},
     }
-    rows = {name: row for name, *row in claim.table(arms)[1]}
+    rows = {name: row for name, *row in report.robust_table(arms)[1]}
     assert rows == {
         "dyna": ["190", "-", "-", "-"],
         "mpc_clone": ["180", "-10", "-", "-"],
@@ -182,7 +182,7 @@ def test_the_claim_in_numbers_by_hand():
         ],
     }  # fmt: skip
     del arms["dyna, few"]
-    *_, last = claim.table(arms)[1]
+    *_, last = report.robust_table(arms)[1]
     assert last == ["mpc_clone, few", "130", "-", "50", "-"]
 
 

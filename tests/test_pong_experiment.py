@@ -18,9 +18,8 @@ from jaxdyna.envs.pong_screen import in_channels, middles, mixture_of, picture_o
 from jaxdyna.experiments.engine import InputError, Work, main
 from jaxdyna.experiments.engine.storage import write_curves
 from jaxdyna.experiments.pong import PARTS, frames, trained
-from jaxdyna.experiments.pong.arms import arms, points
+from jaxdyna.experiments.pong.arms import Guided, GuidedParams, arms, points
 from jaxdyna.experiments.pong.data import choose, collect, play, screens, states, take
-from jaxdyna.experiments.pong.guided import Guided, GuidedParams
 from jaxdyna.experiments.pong.options import PAPER, TUNED
 from jaxdyna.experiments.pong.world import OBJECTS, RULES, game_of, in_colours
 from jaxdyna.experiments.report.sections import equal_episodes

@@ -9,7 +9,7 @@ from jaxdyna.experiments.cartpole.arms import SAID
 from jaxdyna.experiments.cartpole.options import LEAN, CartPoleOptions, rule
 from jaxdyna.experiments.cartpole.studies import OF
 from jaxdyna.experiments.engine import Experiment, Overrides, Results, Study
-from jaxdyna.experiments.planning import claim, report
+from jaxdyna.experiments.planning import report
 from jaxdyna.experiments.planning.budgets import measure
 from jaxdyna.experiments.planning.grounds import Sizes, cartpole_ground, maze_ground
 from jaxdyna.experiments.report import sections
@@ -73,11 +73,11 @@ STUDY = Study(
     of=replace(OF, arms=arms, presets={"lean": BASE}),
     preset="lean",
     rows=lambda options: ROWS,
-    describe=(claim.describe,),
+    describe=(report.describe,),
     quick=LEAST,
     sections=(
         report.decisions, rows("first_solved"), sections.arms_said(SAID),
-        sections.solved_share(rule), sections.distribution, claim.robust, sections.settings,
+        sections.solved_share(rule), sections.distribution, report.robust, sections.settings,
         sections.spent,
     ),
 )  # fmt: skip
