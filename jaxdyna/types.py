@@ -15,6 +15,8 @@ import jax.numpy as jnp
 Key = jax.Array  #: a typed random key (``jax.random.key``), used once
 
 PyTree = Any
+#: what a step of an `Environment` returns
+Stepped = tuple[jax.Array, Any, jax.Array, jax.Array, jax.Array, dict[str, Any]]
 
 
 def check_key(key: Any, rank: int = 0) -> None:
@@ -116,9 +118,7 @@ class Environment(Protocol):
     def reset(self, key: Key, params: Any) -> tuple[jax.Array, Any]:
         """Returns the first ``obs`` and ``state`` of an episode."""
 
-    def step(
-        self, key: Key, state: Any, action: jax.Array, params: Any
-    ) -> tuple[jax.Array, Any, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+    def step(self, key: Key, state: Any, action: jax.Array, params: Any) -> Stepped:
         """Returns ``obs, state, reward, terminated, truncated, info``."""
 
     def observation_space(self, params: Any) -> Any:

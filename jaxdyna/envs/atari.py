@@ -21,7 +21,7 @@ from jaxdyna.envs.gymnasium import Pictures, atari_emulator, check_atari
 from jaxdyna.envs.pong_rules import FIELD, NUM_ACTIONS
 from jaxdyna.envs.pong_screen import CHANNELS, Palette, blank, masks_by_colour, paint
 from jaxdyna.fields import SettingError, check, setting
-from jaxdyna.types import Key
+from jaxdyna.types import Key, Stepped
 
 EMULATOR_BYTES = 16_384  #: room for a saved emulator, of which Pong takes 14,500
 SCREEN = (210, 160, 3)
@@ -87,9 +87,7 @@ class AtariPong(Pictures):
         saved, screen, *_ = _on_host(nothing, jnp.int32(0), waits)
         return self._frame(screen), AtariState(saved, jnp.int32(0))
 
-    def step(
-        self, key: Key, state: AtariState, action: jax.Array, params: AtariParams
-    ) -> tuple[jax.Array, AtariState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+    def step(self, key: Key, state: AtariState, action: jax.Array, params: AtariParams) -> Stepped:
         """``frame_skip`` frames.
 
         Returns:

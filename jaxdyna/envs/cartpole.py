@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from flax import struct
 
 from jaxdyna.envs.gymnasium import Discrete, spaces
 from jaxdyna.fields import setting
-from jaxdyna.types import Key
+from jaxdyna.types import Key, Stepped
 
 
 @struct.dataclass
@@ -69,7 +69,7 @@ class CartPole(Discrete):
 
     def step(
         self, key: Key, state: CartPoleState, action: jax.Array, params: CartPoleParams
-    ) -> tuple[jax.Array, CartPoleState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+    ) -> Stepped:
         """One Euler step of ``tau`` seconds. Deterministic: ``key`` is not used.
 
         Returns:

@@ -1,7 +1,7 @@
 """Catch with bsuite's rules (Osband et al. 2020): a ball falls, a paddle goes to meet it."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from flax import struct
 from jaxdyna.envs.gymnasium import Discrete, spaces
 from jaxdyna.envs.maze import enlarge
 from jaxdyna.fields import Checked, setting
-from jaxdyna.types import Key
+from jaxdyna.types import Key, Stepped
 
 MOVES = np.array([-1, 0, 1], np.int32)  #: the paddle's columns by action: left, stay, right
 
@@ -63,9 +63,7 @@ class Catch(Discrete, Checked):
         state = CatchState(ball=jnp.stack([zero, column]), paddle=middle, time=zero)
         return self.observe(state), state
 
-    def step(
-        self, key: Key, state: CatchState, action: jax.Array, params: CatchParams
-    ) -> tuple[jax.Array, CatchState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+    def step(self, key: Key, state: CatchState, action: jax.Array, params: CatchParams) -> Stepped:
         """The paddle moves, the ball falls. Deterministic: ``key`` is not used.
 
         Returns:

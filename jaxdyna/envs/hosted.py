@@ -27,7 +27,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from jaxdyna.envs.gymnasium import Discrete
 from jaxdyna.fields import check_counts, setting
 from jaxdyna.trees import anywhere, where
-from jaxdyna.types import Key
+from jaxdyna.types import Key, Stepped
 
 Make = str | Callable[[], gymnasium.Env | VectorEnv]
 """An id for ``gymnasium.make``, or what makes an environment or a vector of them."""
@@ -122,7 +122,7 @@ class Hosted(Discrete):
 
     def step(
         self, key: Key, state: HostedState, action: jax.Array, params: HostedParams
-    ) -> tuple[jax.Array, HostedState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+    ) -> Stepped:
         """One step of the world. After the end nothing moves and nothing is paid, and where that is
         so of all that are computed together the host is not called.
         """

@@ -1,7 +1,7 @@
 """The paper's Maze (§4.2): reach the goal through a crowd of moving obstacles, seen from above."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from flax import struct
 
 from jaxdyna.envs.gymnasium import Pictures
 from jaxdyna.fields import SettingError, check, setting
-from jaxdyna.types import Key
+from jaxdyna.types import Key, Stepped
 
 MOVES = np.array([(0, -1), (0, 1), (-1, 0), (1, 0), (0, 0)], np.int32)
 """(row, column) by action: left, right, forward (up), backward (down), wait; obstacles' directions
@@ -110,9 +110,7 @@ class Maze(Pictures):
         )
         return self.frame(state), state
 
-    def step(
-        self, key: Key, state: MazeState, action: jax.Array, params: MazeParams
-    ) -> tuple[jax.Array, MazeState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+    def step(self, key: Key, state: MazeState, action: jax.Array, params: MazeParams) -> Stepped:
         """One move of all. Deterministic: ``key`` is not used.
 
         Returns:

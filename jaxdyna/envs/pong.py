@@ -1,7 +1,7 @@
 """Pong with the measures of the Atari 2600 game: its field, ball, paddles, bounces and opponent."""
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from jaxdyna.envs.pong_screen import (
     screen_masks,
 )
 from jaxdyna.fields import SettingError, check, setting
-from jaxdyna.types import Key
+from jaxdyna.types import Key, Stepped
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,7 @@ class Pong(Pictures):
         state = first_state(params)
         return self.frame(state), state
 
-    def step(
-        self, key: Key, state: PongState, action: jax.Array, params: PongParams
-    ) -> tuple[jax.Array, PongState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+    def step(self, key: Key, state: PongState, action: jax.Array, params: PongParams) -> Stepped:
         """``frame_skip`` frames.
 
         Returns:

@@ -11,7 +11,7 @@ from flax import struct
 
 from jaxdyna.envs.gymnasium import spaces
 from jaxdyna.fields import Checked, setting
-from jaxdyna.types import Environment, Key
+from jaxdyna.types import Environment, Key, Stepped
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,7 @@ class FrameStack(Wrapper):
         obs = jnp.concatenate([frame] * self.num_frames, axis=-1)
         return obs, StackState(state, obs)
 
-    def step(
-        self, key: Key, state: StackState, action: jax.Array, params: Any
-    ) -> tuple[jax.Array, StackState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+    def step(self, key: Key, state: StackState, action: jax.Array, params: Any) -> Stepped:
         """One step of the environment; the oldest frame makes room for the new one."""
         frame, inner, reward, terminated, truncated, info = self.env.step(
             key, state.env, action, params
@@ -122,7 +120,7 @@ class Replayed(Wrapper):
 
     def step(
         self, key: Key, state: StackState, action: jax.Array, params: ReplayedParams
-    ) -> tuple[jax.Array, StackState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+    ) -> Stepped:
         return self.env.step(key, state, action, params.env)
 
     def observation_space(self, params: ReplayedParams) -> Any:

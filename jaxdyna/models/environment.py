@@ -11,7 +11,7 @@ from flax import struct
 
 from jaxdyna.envs.maze import enlarge
 from jaxdyna.fields import Checked, SettingError, setting
-from jaxdyna.types import Environment, Key, Prediction
+from jaxdyna.types import Environment, Key, Prediction, Stepped
 
 
 @struct.dataclass
@@ -133,7 +133,7 @@ class LearnedEnvironment(Checked):
 
     def step(
         self, key: Key, state: LearnedState, action: jax.Array, params: LearnedParams
-    ) -> tuple[jax.Array, LearnedState, jax.Array, jax.Array, jax.Array, dict[str, Any]]:
+    ) -> Stepped:
         """One predicted step; ``info["prediction"]`` is the whole `Prediction`."""
         key_predict, key_end = jax.random.split(key)
         prediction = self.predict(params.model, state.obs, action, key_predict)

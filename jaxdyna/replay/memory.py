@@ -24,8 +24,6 @@ def transitions() -> Memory:
     def draw_some(
         held: Replay, key: Key, shape: tuple[int, ...], rare_share: float | None
     ) -> jax.Array:
-        if rare_share is None:
-            return ring.draw_positions(held, key, shape)
         weight = share_weight(held.held, held.data.terminated, rare_share)
         return ring.draw_positions(held, key, shape, weight)
 
@@ -59,8 +57,6 @@ def frames(
     def draw_some(
         held: FrameReplay, key: Key, shape: tuple[int, ...], rare_share: float | None
     ) -> jax.Array:
-        if rare_share is None:
-            return frame_replay.draw_numbers(held, key, shape)
         weight = share_weight(held.held, rare(held.rest), rare_share)
         return frame_replay.draw_numbers(held, key, shape, weight)
 

@@ -141,7 +141,9 @@ def sample_distinct(replay: Replay, key: Key, count: int) -> PyTree:
     return jax.tree.map(drawn, replay.data)
 
 
-def share_weight(held: jax.Array, marked: jax.Array, share: jax.Array | float) -> jax.Array:
+def share_weight(
+    held: jax.Array, marked: jax.Array, share: jax.Array | float | None
+) -> jax.Array | None:
     """Weights ``[capacity]`` for `sample`, 0 for what is not held, that give each kind of the
     marked items at least an equal part of ``share`` of the draws: rare ones are seen often enough
     to be learned, ones that have become common as often as they come.
@@ -149,8 +151,10 @@ def share_weight(held: jax.Array, marked: jax.Array, share: jax.Array | float) -
     Args:
         held: bool ``[capacity]``, such as `Replay.held`.
         marked: bool ``[capacity]``, or ``[kinds, capacity]``, no item of two kinds.
-        share: between 0 and 1.
+        share: between 0 and 1; None: no weights, since all are drawn alike.
     """
+    if share is None:
+        return None
     kinds = held & jnp.atleast_2d(marked)
     other = held & ~kinds.any(0)
     counts, rest = kinds.sum(-1), other.sum()

@@ -173,11 +173,10 @@ def random_episodes(options: GridOptions, rare_share: float | None) -> World:
 
     def data(key: Key, key_new: Key, stage: Stage) -> Any:
         whole = collected(lambda key: play(key, 1), key, options.episodes, options.steps)
-        count, weight = jnp.asarray(stage.part, jnp.int32), None  # all last to their horizon
+        count = jnp.asarray(stage.part, jnp.int32)  # all last to their horizon
         held = replace(whole, added=count * options.steps, episodes_added=count)
-        if rare_share is not None:
-            reward = held.rest["reward"]
-            weight = share_weight(held.held, jnp.stack([reward < 0, reward > 0]), rare_share)
+        reward = held.rest["reward"]
+        weight = share_weight(held.held, jnp.stack([reward < 0, reward > 0]), rare_share)
         return held, weight, play(key_new, options.held_out)
 
     def sample(data: Any, key: Key, stage: Stage, size: int) -> Transition:
