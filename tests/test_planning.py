@@ -66,8 +66,9 @@ def test_shares_are_of_what_could_be_had_in_the_same_episodes(runs):
 
 def test_everybody_decides_by_what_each_run_has_learned():
     both = ground(2)._replace(learned=jnp.arange(2))  # the first pushes left, the second right
-    returns = budgets.play(both, LEFT.act)
-    other = budgets.play(both._replace(learned=1 - jnp.arange(2)), LEFT.act)
+    returns, starts = budgets.play(both, LEFT.act)
+    other, same = budgets.play(both._replace(learned=1 - jnp.arange(2)), LEFT.act)
+    assert_same(starts, same)
     assert (returns[0] != other[0]).any() and (returns[1] != other[1]).any()
 
 
@@ -157,10 +158,10 @@ def test_the_optimal_plan_plays_best_in_the_maze_and_values_are_asked_for():
     here = Ground("Maze", dyna.env, options.hparams.env, learned, 8, best, jax.random.key(1), 6, 2)
     contenders = {who.label: who for who in grounds.maze_contenders(dyna, options, sizes)}
     played = ["policy", "MPC to the goal (true world)", "MCTS, learned values (learned world)"]
-    share = {
-        name: budgets.play(here, contenders[name].act).sum() / budgets.best_returns(here).sum()
-        for name in played
-    }
+    share = {}
+    for name in played:
+        returns, starts = budgets.play(here, contenders[name].act)
+        share[name] = returns.sum() / budgets.best_returns(here, starts).sum()
     assert share[played[1]] > max(0.9, share["policy"]) and np.isfinite(share[played[2]])
 
 

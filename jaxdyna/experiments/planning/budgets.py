@@ -10,7 +10,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxdyna.experiments.engine import Results
@@ -59,12 +58,12 @@ def measure(
     """A row a contender: its returns, their share of what could be had, how much more that is than
     the first contender's, and milliseconds.
     """
-    best = best_returns(ground)
     rows: list[Results] = []
     for contender in contenders:
         who, world, steps, act = contender
-        returns = play(ground, act)
-        first = np.array(rows[0]["returns"]) if rows else returns
+        returns, starts = play(ground, act)
+        if not rows:
+            first, best = returns, best_returns(ground, starts)
         row = {
             "environment": ground.name, "label": contender.label, "who": who, "world": world,
             "steps": steps, "returns": returns.tolist(),
@@ -84,42 +83,30 @@ def _share(name: str, earned: np.ndarray, best: np.ndarray) -> Results:
     return {name: said["share"], f"{name}_ci95": said["ci95"]}
 
 
-def best_returns(ground: Ground) -> np.ndarray:
-    """The most that could be had in each episode, ``[runs, episodes]``."""
-
-    def best(key: Key) -> jax.Array:
-        """The first states of episodes that are played by the same key."""
-        _, states = rollout(
-            ground.env, lambda obs, key: jnp.int32(0), key, ground.params, ground.episodes,
-            num_steps=1, record=lambda state, after, info: state)  # fmt: skip
-        return jax.vmap(lambda start: ground.best(start, ground.params))(
-            jax.tree.map(lambda leaf: leaf[:, 0], states)
-        )
-
-    return np.asarray(jax.jit(jax.vmap(best))(_keys(ground)))
+def best_returns(ground: Ground, starts: Any) -> np.ndarray:
+    """The most that could be had in each episode, ``[runs, episodes]``, by their first states."""
+    best = jax.vmap(jax.vmap(lambda start: ground.best(start, ground.params)))
+    return np.asarray(jax.jit(best)(starts))
 
 
-def play(ground: Ground, act: Act) -> np.ndarray:
-    """Returns ``[runs, episodes]``."""
+def play(ground: Ground, act: Act) -> tuple[np.ndarray, Any]:
+    """Returns and first states ``[runs, episodes]``."""
 
-    def whole(run: tuple[Any, Key]) -> jax.Array:
+    def whole(run: tuple[Any, Key]) -> tuple[jax.Array, Any]:
         learned, key = run
 
         def decide(obs: jax.Array, key: Key, state: Any) -> jax.Array:
             return act(learned, obs, state, key)
 
-        played = rollout(
-            ground.env, decide, key, ground.params, ground.episodes,
-            num_steps=ground.num_steps, sees_state=True)  # fmt: skip
-        return played.reward.sum(-1)
+        played, states = rollout(
+            ground.env, decide, key, ground.params, ground.episodes, num_steps=ground.num_steps,
+            record=lambda state, *_: state, sees_state=True)  # fmt: skip
+        return played.reward.sum(-1), jax.tree.map(lambda leaf: leaf[:, 0], states)
 
-    runs = jax.jit(lambda learned, keys: jax.lax.map(whole, (learned, keys)))
-    return np.asarray(runs(ground.learned, _keys(ground)))
-
-
-def _keys(ground: Ground) -> Key:
     runs = jax.tree.leaves(ground.learned)[0].shape[0]
-    return jax.random.split(jax.random.clone(ground.key), runs)
+    keys = jax.random.split(jax.random.clone(ground.key), runs)
+    returns, starts = jax.jit(partial(jax.lax.map, whole))((ground.learned, keys))
+    return np.asarray(returns), starts
 
 
 def milliseconds(ground: Ground, act: Act, batch: int) -> float:

@@ -8,16 +8,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.dyna import Dyna, DynaHParams, DynaState, experts
+from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, experts, make_train
 from jaxdyna.envs import Maze
 from jaxdyna.experiments import cartpole, maze
-from jaxdyna.experiments.engine import Arm
 from jaxdyna.experiments.maze.arms import agent_of, model_of
 from jaxdyna.experiments.planning.budgets import Contender, Ground
 from jaxdyna.experiments.study.arms import greedy
 from jaxdyna.fields import changed, check, setting
 from jaxdyna.planners import ShootingConfig, muzero, random_shooting, solve_maze
-from jaxdyna.sweep import over_runs
+from jaxdyna.sweep import sweep
 from jaxdyna.types import Key
 
 #: steps that shooting without a value looks ahead in the Maze, as a multiple of the way to the
@@ -61,8 +60,7 @@ def cartpole_ground(key: Key, sizes: Sizes) -> Grounds:
     episodes = {"episodes": sizes.cartpole_episodes}
     options = changed(cartpole.CARTPOLE.presets["lean"], episodes).resolved()
     dyna, steps = cartpole.arms.parts(options), options.dyna.num_steps
-    arm = cartpole.CARTPOLE.arms(options)["dyna"]()
-    state = learned(arm, key_learn, sizes.runs[0], options.episodes)
+    state = learned(dyna, options.dyna, options.hparams, key_learn, sizes.runs[0])
     ground = Ground(
         "CartPole", dyna.env, options.hparams.env, state, steps,
         lambda start, params: jnp.float32(steps), key_play, sizes.played[0], sizes.batch,
@@ -98,10 +96,10 @@ def maze_ground(key: Key, sizes: Sizes) -> Grounds:
     def best(start: Any, params: Any) -> jax.Array:
         return solve_maze(world, start.env, params, steps).best_return
 
-    arm = maze.MAZE.arms(options)["dyna"]()
     dyna = maze.arms.parts(world, agent_of(options), model_of(options))
     for episodes in after:
-        state = learned(arm, jax.random.clone(key_learn), sizes.runs[1], episodes)
+        config, key = replace(options.dyna, num_episodes=episodes), jax.random.clone(key_learn)
+        state = learned(dyna, config, options.hparams, key, sizes.runs[1])
         ground = Ground(
             f"Maze {size}x{size} after {episodes} episodes", dyna.env, options.hparams.env, state,
             steps, best, jax.random.clone(key_play), sizes.played[1], sizes.batch)  # fmt: skip
@@ -157,19 +155,10 @@ def planner(
     return Contender(who, "true", steps, knowing), Contender(who, "learned", steps, seeing)
 
 
-def learned(arm: Arm, key: Key, runs: int, episodes: int) -> DynaState:
-    """So many runs of the arm ``[runs, ...]`` after so many real episodes, without keys: nothing
-    follows.
+def learned(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, key: Key, runs: int) -> DynaState:
+    """So many runs ``[runs, ...]`` after all their real episodes, on one device and without keys:
+    nothing follows.
     """
-
-    def whole(key: Key, hparams: Any) -> DynaState:
-        def episode(number: jax.Array, state: Any) -> Any:
-            return arm.work.step(state, None, number, hparams)[0]
-
-        state = jax.lax.fori_loop(0, episodes, episode, arm.work.init(key, hparams))
-        return replace(state, key=None)
-
-    hparams = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], arm.hparams)
-    run = jax.jit(over_runs(whole, 1))
-    states = [run(one[None], hparams) for one in jax.random.split(key, runs)]
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *states)
+    states, _ = sweep(make_train(dyna, config), jax.random.split(key, runs), hparams, block=1)
+    whole = jax.tree.map(lambda leaf: leaf[0], replace(states, key=None))
+    return jax.device_put(whole, jax.devices()[0])
