@@ -1,6 +1,6 @@
 """Steps a second of the learned CartPole model in `rollout`, beside what its products allow."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxdyna.envs import CartPole
 from jaxdyna.experiments.benchmark.others import by_threads, rival
-from jaxdyna.experiments.benchmark.timing import OURS, PYTORCH, Work, compared, jitted, product
+from jaxdyna.experiments.benchmark.timing import OURS, compared, jitted, product
 from jaxdyna.experiments.cartpole.arms import parts
 from jaxdyna.experiments.cartpole.options import TUNED
 from jaxdyna.experiments.engine import Results
@@ -45,14 +45,14 @@ def measure(options: Any) -> Iterable[Results]:
         units = batch * STEPS
         works = {
             OURS: jitted(partial(play, batch), agent, known, keys[2], units=units),
-            **(torchs(theirs, batch) if theirs else {PYTORCH: None}),
+            **by_threads(theirs, theirs and torchs(theirs, batch), units),
         }
         ceiling = product(1, batch, hidden[0], options.rounds) / operations
         yield from compared(f"{batch:,} dreams", "steps/s", works, options.rounds, ceiling)
 
 
-def torchs(theirs: Any, batch: int) -> dict[str, Work]:
+def torchs(theirs: Any, batch: int) -> Callable[[], Any]:
     """So many dreams of PyTorch's together."""
     run = theirs.Run(seed=0, ends_above=1.0)
     run.starts = [np.zeros(4, np.float32)]
-    return by_threads(theirs.torch, partial(run.dream, batch, STEPS), batch * STEPS)
+    return partial(run.dream, batch, STEPS)

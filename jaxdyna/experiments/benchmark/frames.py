@@ -14,7 +14,7 @@ from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, make_init, make_step
 from jaxdyna.dyna.loop import play_real, train_model
 from jaxdyna.envs import Maze
 from jaxdyna.experiments.benchmark.others import by_threads, rival
-from jaxdyna.experiments.benchmark.timing import OURS, PYTORCH, compared, in_units
+from jaxdyna.experiments.benchmark.timing import OURS, compared, in_units
 from jaxdyna.experiments.engine import Results
 from jaxdyna.experiments.maze import arms as maze
 from jaxdyna.experiments.maze.options import TUNED as MAZE
@@ -50,14 +50,12 @@ def measure(options: Any) -> Iterable[Results]:
         setup, other = preset.resolved(), theirs and theirs.Learner(getattr(theirs, name.upper()))
         ours = works(make(setup), replace(setup.dyna, eval_every=0), setup.hparams, options.seed)
         units = setup.dyna.model_updates, setup.agent.updates, 1
+        calls: Any = [None] * len(units)
         if other:
             other.real_episode()  # something to learn from
-        calls = other and (other.train_model, partial(other.learn, units[1]), other.episode)
-        for number, (what, work) in enumerate(ours.items()):
-            pair = {OURS: in_units(work, units[number]), PYTORCH: None}
-            if other:
-                pair |= by_threads(theirs.torch, calls[number], units[number])
-                del pair[PYTORCH]
+            calls = other.train_model, partial(other.learn, units[1]), other.episode
+        for (what, work), count, call in zip(ours.items(), units, calls, strict=True):
+            pair = {OURS: in_units(work, count), **by_threads(theirs, call, count)}
             yield from compared(f"{name}, {what}", "ms", pair, options.rounds)
 
 

@@ -44,13 +44,16 @@ def rival(name: str) -> Any:
         raise
 
 
-def by_threads(torch: Any, call: Callable[[], Any], units: float) -> dict[str, Work]:
-    """A call of PyTorch's as work of so many units, by one thread and by one a core: which is the
-    faster depends on the work, and on who else uses the machine.
+def by_threads(theirs: Any, call: Callable[[], Any], units: float) -> dict[str, Work | None]:
+    """A call of a `rival` in PyTorch as work of so many units, by one thread and by one a core:
+    which is the faster depends on the work, and on who else uses the machine. None where it is not
+    there.
     """
+    if theirs is None:
+        return {PYTORCH: None}
 
     def work(count: int) -> float:
-        torch.set_num_threads(count)
+        theirs.torch.set_num_threads(count)
         call()
         return units
 

@@ -109,8 +109,6 @@ def figure(record: Record) -> str:
     panel.set_xticks(TICKS, map(str, TICKS), minor=False)
     panel.minorticks_off()
     panel.set_xlim(min(0.8, *ends) / 1.1, max(ends) * 1.1)
-    plots.finish(
-        panel, x="times as fast (median of the turns; line: lowest to highest)", legend=False
-    )
+    plots.finish(panel, x="times as fast (median of the turns; line: lowest to highest)")
     plots.save(drawn, record.out / "ratios.png")
     return "![how many times as fast as others](ratios.png)"

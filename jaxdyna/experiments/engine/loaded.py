@@ -100,10 +100,8 @@ class Loaded:
         if seed not in seeds:
             raise ValueError(f"of {arm} in {self.folder} the seeds {seeds} are kept, not {seed}: "
                              "--keep-runs says of how many runs")  # fmt: skip
-        runs, row = (
-            runs_of([made], [seed], self.options.seed),
-            self.results["runs"]["seeds"].index(seed),
-        )
+        runs = runs_of([made], [seed], self.options.seed)
+        row = self.results["runs"]["seeds"].index(seed)
         hparams = jax.tree.map(itemgetter(0), runs.hparams)
         own = {name: self.curves[arm][name][row] for name in (REAL, RETURN)}
         kept = trained.read(self.folder, arm, seed, own)

@@ -215,7 +215,7 @@ def changes(before: Results, now: Results) -> str:
     return ", ".join(said)
 
 
-def provenance(made: Results, earlier: Results | None = None) -> Results:
+def provenance(made: Results, earlier: Results | None) -> Results:
     """`made_with` with the ``commit`` and all of ``device``; of memory the most that this process
     or, where it goes on with an ``earlier`` one's, that one has taken.
     """

@@ -101,7 +101,7 @@ def figure(path: Path, places: dict[str, list[Results]]) -> None:
                 linewidth=1.5, elinewidth=0.8, color=colour, label=label)  # fmt: skip
         panel.set_xscale("log")
         panel.axhline(1, color=plots.FAINT, linewidth=0.8, linestyle=plots.DOTTED)
-        plots.finish(panel, name, "ms a decision", legend=False)
+        plots.finish(panel, name, "ms a decision")
     for panel in panels[:, 0]:
         panel.set_ylabel("share of what could be had\n(bar: 95% interval)")
     plots.legend_above(drawn, panels.flat)

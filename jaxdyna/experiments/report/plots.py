@@ -93,8 +93,8 @@ def learning_curves(
         panel.axvline(episode, color=FAINT, linewidth=1.2, linestyle=DOTTED,
                       label=f"{said}: {episode}")  # fmt: skip
     over = "; a run that is over keeps its last value" if early else ""
-    finish(panel, x=f"real episodes (running mean of {window}{over})",
-           y=f"{what}: mean, {shaded(values)}", legend=False)  # fmt: skip
+    x = f"real episodes (running mean of {window}{over})"
+    finish(panel, x=x, y=f"{what}: mean, {shaded(values)}")
     legend_above(figure, [panel])
     save(figure, path)
 
@@ -135,7 +135,7 @@ def bands(
             band(panel, shown, own[name], tables.label(name), at, interval, marker=marker,
                  markersize=5, markevery=(dots or {}).get(name))  # fmt: skip
         panel.set(**axes)
-        finish(panel, textwrap.fill(title, 84 // drawn.shape[1]), x, legend=False)
+        finish(panel, textwrap.fill(title, 84 // drawn.shape[1]), x)
     for panel in drawn[:, 0]:
         panel.set_ylabel(y)
     legend_above(figure, drawn.flat, legend)
@@ -179,7 +179,7 @@ def prediction_figure(
             low, high = np.nanmin(shown), np.nanmax(shown)
             margin = max(0.25 * (high - low), 0.05)
             panel.set_ylim(low - margin, high + margin)
-            finish(panel, legend=False)
+            finish(panel)
         column[0].set_title(title, loc="left", fontsize=11)
         column[-1].set_xlabel("step")
     for panel, name in zip(panels[:, 0], variables, strict=True):
@@ -210,8 +210,7 @@ def solve_bars(path: Path, solved_at: Mapping[str, np.ndarray], limit: int, axis
     panel.text(limit, -0.65, "unsolved", color=MARK, va="bottom", ha="center")
     panel.set_yticks(range(len(names)), names)
     panel.set_ylim(len(names) - 0.4, -0.6)
-    finish(panel, x=f"{axis}\n(dot: a seed; bar: mean, an unsolved seed counted as {limit})",
-           legend=False)  # fmt: skip
+    finish(panel, x=f"{axis}\n(dot: a seed; bar: mean, an unsolved seed counted as {limit})")
     save(figure, path)
     return True
 
@@ -240,7 +239,7 @@ def error_scatter(
     for (name, level), own in zip(lines.items(), REFERENCES, strict=False):
         panel.axhline(level, label=name, linewidth=1.5, **own._asdict())
     panel.set_xscale("log")
-    finish(panel, x=f"{x}; bars: {shaded(next(iter(error.values())))}", y=y, legend=False)
+    finish(panel, x=f"{x}; bars: {shaded(next(iter(error.values())))}", y=y)
     handles, said = panel.get_legend_handles_labels()
     figure.legend(handles, said, loc="outside lower left", ncols=2, fontsize=9, frameon=False)
     figure.draw_without_rendering()  # only now it is known where the points lie
@@ -292,15 +291,11 @@ def shaded(values: np.ndarray) -> str:
     return "95% interval" if len(values) > FEW else "lowest to highest"
 
 
-def finish(
-    panel: Axes, title: str = "", x: str = "", y: str = "", *, legend: bool = True, **placed: Any
-) -> None:
-    """Title, axes, a legend (``placed`` so), and no box around them."""
+def finish(panel: Axes, title: str = "", x: str = "", y: str = "") -> None:
+    """Title and axes, and no box around them."""
     panel.set_title(title, loc="left", fontsize=11)
     panel.set(xlabel=x, ylabel=y)
     panel.spines[["top", "right"]].set_visible(False)
-    if legend:
-        panel.legend(**{"fontsize": 10, "frameon": False} | placed)
 
 
 def legend_above(figure: Figure, panels: Iterable[Axes], title: str | None = None) -> None:
@@ -352,7 +347,7 @@ def swept_map(
             panel.text(column, row, f"{value:,.0f}", ha="center", va="center", color=shade)
         panel.set_xticks(range(len(column_values)), [str(value) for value in column_values])
         panel.set_yticks(range(len(row_values)), [str(value) for value in row_values])
-        finish(panel, name, columns, rows, legend=False)
+        finish(panel, name, columns, rows)
         figure.colorbar(picture, ax=panel, label=what)
     save(figure, path)
 

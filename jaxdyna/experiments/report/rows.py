@@ -45,23 +45,21 @@ def rows(record: Any, column: str = "episodes_to_solve") -> str:
 
 
 @told
-def ranking(
-    record: Any, grid: Callable[[Any], Mapping[str, Any]], column: str = "episodes_to_solve"
-) -> str:
+def ranking(record: Any, grid: Callable[[Any], Mapping[str, Any]]) -> str:
     """The rows of a grid, by their restricted means, and whether the best stands at an edge of it;
     ``grid``: from options to all its rows, those that were not played too.
     """
-    results, options = record.results, record.options
+    results, options, column = record.results, record.options, "episodes_to_solve"
     if not results["arms"]:
         return ""
     order = sorted(
         results["arms"], key=lambda name: results["arms"][name][column]["restricted_mean"]
     )
     arms = {name: results["arms"][name] for name in order}
-    (_, *header), lines = tables.solve_table(results | {"arms": arms}, column)
+    (_, *header), lines = tables.solve_table(results | {"arms": arms})
     solved = {name: per_seed(arm[column]) for name, arm in arms.items()}
     there = plots.solve_bars(record.out / "variants.png", solved, limit(arms, column),
-                             column.replace("_", " "))  # fmt: skip
+                             "episodes to solve")  # fmt: skip
     names = tuple(grid(options))
     seconds = sum(one.get("run_s", 0.0) for one in results["timing"]["arms"].values())
     return paragraphs(
@@ -88,7 +86,7 @@ def _winner(figure: Results, name: str, names: Sequence[str]) -> str:
     return f"**{name}** has the lowest.{widen if edges else ''}"
 
 
-def edge_of_grid(names: Sequence[str], winner: str, last: Sequence[str] = ("1-step",)) -> list[str]:
+def edge_of_grid(names: Sequence[str], winner: str) -> list[str]:
     """Those of a winner's values that stand at an end of what was tried: that have a number and
     come first or last in their place.
 
@@ -96,7 +94,6 @@ def edge_of_grid(names: Sequence[str], winner: str, last: Sequence[str] = ("1-st
         names: of all rows, such as ``"ratio 1, resets, rate 0.001, 3-step"``: what is varied in
             the same order, and the values of each as they rise or fall.
         winner: one of them.
-        last: beyond which there is nothing to try.
     """
     places = zip(*(name.split(", ") for name in names), strict=True)
     tried = [list(dict.fromkeys(place)) for place in places]
@@ -107,7 +104,7 @@ def edge_of_grid(names: Sequence[str], winner: str, last: Sequence[str] = ("1-st
         if value in (values[0], values[-1])
         and any(letter.isdigit() for letter in value)
         and len(values) > 1
-        and value not in last
+        and value != "1-step"  # beyond it there is nothing to try
     ]
 
 
