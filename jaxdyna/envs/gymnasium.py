@@ -260,7 +260,7 @@ class HostVectorEnv(Host, VectorEnv):
             raise ValueError(f"options {sorted(options)}: give them to a single environment")
         super().reset(seed=seed)
         seeds = _draw_seeds(self.np_random, self.num_envs)
-        obs, self._state = _vector_reset(self.env, self.params, seeds)
+        obs, self._state = jax.vmap(partial(_reset, self.env, self.params))(seeds)
         self._ended = np.zeros(self.num_envs, bool)
         return np.array(obs), {}
 
@@ -348,11 +348,6 @@ def _arrays(info: dict[str, Any]) -> dict[str, np.ndarray]:
 @partial(jax.jit, static_argnums=0)
 def _render(env: Any, params, state):
     return env.render(state, params)
-
-
-@partial(jax.jit, static_argnums=0)
-def _vector_reset(env, params, seeds):
-    return jax.vmap(lambda seed: _reset(env, params, seed))(seeds)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -351,14 +351,10 @@ class Session:
 
     def identity(self) -> Results:
         """What a run must have in common with the one that it resumes, or else is another one."""
-        settings = fields.plain(self.options)
-        return {
-            "experiment": self.family,
-            "part": self.experiment.name,
-            "shard": list(self.shard),
-            "sweep": fields.plain(dict(self.sweep)),
-            "config": {name: value for name, value in settings.items() if name not in NOT_SETTINGS},
-        }
+        return identity_of({
+            "experiment": self.family, "part": self.experiment.name,
+            "sweep": fields.plain(dict(self.sweep)), "runs": {"shard": list(self.shard)},
+            "config": fields.plain(self.options)})  # fmt: skip
 
     def _take_up(self, whose: Mapping[str, str]) -> None:
         """Reads what an earlier run of these settings finished; `ValueError` where there is
