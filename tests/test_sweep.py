@@ -11,6 +11,7 @@ from jaxdyna import sweep
 from jaxdyna.agents import ReinforceHParams
 from jaxdyna.dyna import make_train
 from jaxdyna.models import DreamHParams, SupervisedHParams
+from jaxdyna.trees import where_needed
 
 SWEPT = {
     "fake_weight": jnp.array([0.0, 1.0, 1.0]),
@@ -91,6 +92,38 @@ def test_seeds_are_dealt_out_to_as_many_devices_as_divide_them():
 def test_nothing_swept_still_has_an_axis_for_settings():
     out = sweep(lambda key, hparams: hparams, jax.random.split(jax.random.key(0), 2), 7.0)
     np.testing.assert_array_equal(out, [[7, 7]])
+
+
+def test_work_that_no_run_needs_is_not_done():
+    """Under nested vmaps, in a loop, on several devices; and there are gradients of it."""
+    done = []
+
+    def run(needed, x):
+        def work():
+            jax.debug.callback(lambda: done.append(1))
+            return jnp.sin(x)
+
+        return where_needed(needed, work, x)
+
+    def train(key, needed):
+        x = jax.random.uniform(key)
+        return jax.lax.scan(lambda x, _: (run(needed & (x > 0.5), x), None), x, length=2)[0]
+
+    def keys():
+        return jax.random.split(jax.random.key(2), 4)
+
+    draws = np.asarray(jax.vmap(jax.random.uniform)(keys()))
+    once = np.where(draws > 0.5, np.sin(draws), draws)
+    twice = np.where(once > 0.5, np.sin(once), once)
+    assert (twice != draws).any() and (twice == draws).any()
+    for needed, expected in (([False, False], [draws, draws]), ([False, True], [draws, twice])):
+        done.clear()
+        out = sweep(train, keys(), jnp.array(needed))
+        jax.effects_barrier()
+        np.testing.assert_allclose(out, expected, rtol=1e-6)
+        assert bool(done) == any(needed)
+    slopes = [jax.grad(run, 1)(needed, 0.3) for needed in (True, False)]
+    np.testing.assert_allclose(slopes, [np.cos(0.3), 1], rtol=1e-6)
 
 
 def test_clear_errors():
