@@ -246,6 +246,8 @@ BAD = {
         lambda: begin(DYNA._replace(memory=None, dream=None)), "memory"),
     "an agent of other observations": (
         lambda: begin(MODEL_FREE._replace(agent=reinforce((3,), 2))), "observations"),
+    "an agent of other observations, which dreams": (
+        lambda: begin(DYNA._replace(agent=reinforce((3,), 2))), "the agent does not take"),
     "an agent of frames": (
         lambda: begin(MODEL_FREE._replace(agent=dqn(FRAME, 2)), agent=DQNHParams()), "observ"),
     "a model of other observations": (

@@ -50,8 +50,10 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
         key, key_agent, key_model = jax.random.split(key, 3)
         agent = dyna.agent.init(key_agent, hparams.agent)
         model = dyna.model and dyna.model.init(key_model, hparams.model)
+        state = DynaState(agent, model, None, None, jnp.bool_(False), key)
         if dyna.memory is None or not _remembers(dyna, config):
-            return DynaState(agent, model, None, None, jnp.bool_(False), key)
+            return state
+        check_shapes(dyna._replace(model=None, dream=None), state, hparams)
         episode = jax.eval_shape(lambda: play_real(dyna, config, agent, key, hparams))
         example, recorded = jax.tree.map(
             lambda leaf: jax.ShapeDtypeStruct(leaf.shape[2:], leaf.dtype), episode
@@ -59,7 +61,7 @@ def make_init(dyna: Dyna, config: DynaConfig) -> Callable[[Key, DynaHParams], Dy
         capacity = config.replay_capacity or config.num_episodes * config.num_steps
         held = dyna.memory.init(capacity, config.num_episodes, example, recorded)
         starts = ring.init(config.num_episodes, example.obs)
-        return DynaState(agent, model, held, starts, jnp.bool_(False), key)
+        return replace(state, replay=held, starts=starts)
 
     return init
 
