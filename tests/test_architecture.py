@@ -15,11 +15,12 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = {
     **dict.fromkeys(["fields", "types", "trees"], 0),
     **dict.fromkeys(["optimizers", "networks", "losses", "envs", "replay"], 1),
-    "rollout": 2,
+    **dict.fromkeys(["rollout", "watched"], 2),
     **dict.fromkeys(["agents", "models", "planners"], 3),
     **dict.fromkeys(["dyna", "testing"], 4),
     **dict.fromkeys(["sweep", "statistics"], 5),
     "experiments": 6,
+    "play": 7,
 }
 EXPERIMENTS = PACKAGE / "experiments"
 ROOMS = sorted(EXPERIMENTS.rglob("*.py"))

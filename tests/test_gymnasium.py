@@ -257,10 +257,22 @@ def test_an_episode_begins_within_given_bounds(name):
     assert (abs(env.reset(seed=4, options={})[0]) <= 0.05).all()
 
 
+@pytest.mark.parametrize("name", ["jaxdyna/CartPole-v0", DREAM])
+def test_an_episode_begins_where_it_is_told(name):
+    env, obs = gymnasium.make(name), np.float32([0.1, -0.2, 0.05, 0.3])
+    begun, _ = env.reset(options={"obs": obs})
+    np.testing.assert_array_equal(begun, obs)
+    state = env.unwrapped.env.state_of(jnp.asarray(obs))
+    after = env.unwrapped.env.step(jax.random.key(0), state, 1, env.unwrapped.params)[0]
+    np.testing.assert_allclose(env.step(1)[0], after, rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("name", "options"),
     [
         ("jaxdyna/CartPole-v0", {"low": 1, "high": 0}),
+        ("jaxdyna/CartPole-v0", {"obs": [0.0, 0.0]}),
+        ("jaxdyna/Maze-v0", {"obs": np.zeros((16, 16, 3))}),
         ("jaxdyna/CartPole-v0", {"start": 0}),
         ("jaxdyna/Maze-v0", {"low": 0, "high": 1}),
     ],

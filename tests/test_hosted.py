@@ -20,6 +20,7 @@ from jaxdyna.dyna.frames import parts
 from jaxdyna.envs import CartPole, CartPoleParams, FrameStack, HostedParams, from_gymnasium
 from jaxdyna.models import SupervisedConfig, SupervisedHParams
 from jaxdyna.testing import ContractError, check_environment
+from jaxdyna.watched import Scene
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*Box observation space m.*:UserWarning")
 
@@ -241,3 +242,30 @@ def test_the_same_run_learns_the_same_by_either_cartpole():
     assert len(set(ours["real_return"].tolist())) > 5
     for name, curve in ours.items():
         np.testing.assert_allclose(curve, theirs[name], rtol=1e-3, atol=1e-5, err_msg=name)
+
+
+class Painted(Script):
+    """Draws its time."""
+
+    metadata = {"render_modes": ["rgb_array"]}
+
+    def __init__(self, render_mode=None):
+        self.render_mode = render_mode
+
+    def render(self):
+        assert self.render_mode == "rgb_array"
+        return np.full((8, 6, 3), self.time, np.uint8)
+
+
+def test_a_world_is_watched_as_it_draws_itself():
+    env = FrameStack(from_gymnasium(Painted, 3), 1)
+    scene = Scene(env, env.default_params)
+    shots = scene.played(lambda obs, key: 1, 2, 10)
+    length = 2 + 2 % 3
+    assert [shot["true"][0].mean() for shot in shots] == [*range(length + 1)]
+    assert shots[-1]["true"][1] == f"step {length}, return {3 * length}, over"
+    obs = scene.sides["true"].obs
+    assert obs.dtype == np.float32 and obs[1] == length
+    blind = from_gymnasium(Script, 3)
+    with pytest.raises(ValueError, match="it draws nothing"):
+        Scene(blind, blind.default_params)

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from PIL import Image
 from pole import PARTS, POLE
 
 import jaxdyna
@@ -22,6 +23,7 @@ from jaxdyna.experiments.cartpole import CARTPOLE
 from jaxdyna.experiments.engine import Engine, main, runs_of, storage
 from jaxdyna.experiments.engine.checkpoint import Store
 from jaxdyna.experiments.engine.trained import KEPT, Keeper
+from jaxdyna.experiments.report import frames
 from jaxdyna.fields import changed
 
 TESTS = Path(__file__).parent
@@ -117,6 +119,39 @@ def test_evaluate_prints_it(folder, capsys):
         with pytest.raises(SystemExit):
             evaluate.main(argv)
         assert said in capsys.readouterr().err
+
+
+def test_films_of_what_is_kept(tmp_path, capsys):
+    """CartPole's dreams are drawn as the cart that they speak of."""
+    path = tmp_path / "a.gif"
+    assert evaluate.main([str(TODAY), "--film", str(path)]) == 0
+    left = jaxdyna.load(TODAY)
+    steps = [
+        len(scene.played(run.policy, left.options.seed, 200)) - 1
+        for run, scene in left.scenes().values()
+    ]
+    with Image.open(path) as film:
+        assert film.n_frames == 1 + max(steps) and film.width <= frames.PAGE
+    (_, alone), (run, both) = left.scenes().values()
+    assert [*alone.sides] == ["true"] and [*both.sides] == ["true", "dreamed"]
+    true, dreamed = both.played(run.policy, 0, 1)[1].values()
+    assert true[0].shape == dreamed[0].shape == (200, 300, 3) and true[1].startswith("step 1, ret")
+    for argv, said in (
+        (["--film", "a.avi"], "let it end in .gif or .mp4"),
+        (["--film", str(tmp_path / "no" / "a.gif")], "cannot write"),
+        (["--film", str(path), "--arm", "dyna", "--seed", "7"], "are kept, not 7"),
+    ):
+        with pytest.raises(SystemExit):
+            evaluate.main([str(TODAY), *argv])
+        assert said in capsys.readouterr().err
+
+
+def test_a_film_as_mp4(tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    column = [(np.full((15, 17, 3), shade, np.uint8), "") for shade in range(0, 250, 10)]
+    frames.film(tmp_path / "a.mp4", {"a": column, "b": column[:5]})
+    count, seconds = ffmpeg.count_frames_and_secs(str(tmp_path / "a.mp4"))
+    assert count == 25 and abs(seconds - 25 * frames.PAUSE_MS / 1000) < 0.2
 
 
 def test_what_is_others_or_damaged_is_refused(copy):

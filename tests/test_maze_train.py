@@ -12,19 +12,22 @@ import numpy as np
 import pytest
 import tiny
 from parts import assert_same
+from PIL import Image
 from renamed import respelled
 
+import jaxdyna
 from jaxdyna.agents import DQNConfig
 from jaxdyna.dyna import DynaConfig
-from jaxdyna.envs import FrameStack, Maze, MazeParams, MazeState
+from jaxdyna.envs import Drawn, FrameStack, Maze, MazeParams, MazeState, ReplayedParams
 from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.experiments.maze import LEVERS, PARTS
-from jaxdyna.experiments.maze.acting import describe, learned_at, replay
+from jaxdyna.experiments.maze.acting import describe, learned_at
 from jaxdyna.experiments.maze.arms import agent_of, arms, behaviour, held_back, model_of, parts
 from jaxdyna.experiments.maze.options import LEAN, PAPER, TUNED
 from jaxdyna.experiments.maze.studies import LADDER, SHORT, STEPS, ladder
+from jaxdyna.experiments.report import frames
 from jaxdyna.experiments.study import arms as study_arms
 from jaxdyna.fields import changed, leaves, value_at
 from jaxdyna.planners import solve_maze
@@ -55,14 +58,58 @@ def test_it_leaves_what_the_contract_asks_for(finished):
         assert arm["greedy"]["share"]["mean"] <= 1
     assert set(results["arms"]["dyna"]["model"]) == {"wrong_frames", "wrong_rewards"}
     report = (finished / "report.md").read_text()
-    for name in ("fig8.png", "behaviour.png", "model.png", "film_dyna.gif"):
+    for name in ("fig8.png", "behaviour.png", "model.png"):
         assert f"({name})" in report and (finished / name).exists()
     assert "Not the paper's, or not said there: Double DQN; " in report
     dyna = read_curves(finished / "curves.npz")["dyna"]
     assert (dyna["real_return"] <= dyna["optimal_return"] + 1e-4).all()
-    assert dyna["show_action"].shape == (52, 8) and dyna["greedy_return"].shape == (2, 1000)
+    assert dyna["greedy_return"].shape == (2, 1000)
     assert np.isnan(dyna["fake_return"][:, :29]).all()
     assert np.isfinite(dyna["fake_return"][:, 29:]).all()
+
+
+def test_a_film_shows_a_rollout_and_the_dream_of_its_actions(finished, tmp_path):
+    left = jaxdyna.load(finished)
+    run, scene = left.scenes()["dyna"]
+    scene.begin(left.options.seed)
+    obs, state = scene.sides["true"].obs, scene.sides["true"].host._state
+    actions = []
+
+    def act(obs, key):
+        actions.append(int(jax.random.randint(key, (), 0, 5)))
+        return actions[-1]
+
+    shots = scene.played(act, left.options.seed, 6)
+    assert len(shots) == 7 and len(set(actions)) > 2
+
+    def again(env, params, first):
+        def follow(obs, key, state):
+            return jnp.array(actions)[getattr(state, "env", state).time]
+
+        start = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (obs, first))
+        params, key = ReplayedParams(params, start, params.max_steps), jax.random.key(0)
+        return rollout(Drawn(env), follow, key, params, 1, num_steps=6, sees_state=True)
+
+    dream, weights = run.dream.env, run.dream_params.env
+    for side, played in (
+        ("true", again(run.env, run.params, state)),
+        ("dreamed", again(dream, weights, dream.state_of(jnp.asarray(obs)))),
+    ):
+        shown = np.stack([shot[side][0] for shot in shots])
+        np.testing.assert_array_equal(shown[0], obs[..., -3:])
+        np.testing.assert_array_equal(shown[1:], played.next_obs[0, ..., -3:])
+        said = f"step 6, return {float(played.reward.sum()):.4g}"
+        assert shots[-1][side][1].startswith(said)
+    left.film(tmp_path / "maze.gif")
+    with Image.open(tmp_path / "maze.gif") as film:
+        cell = frames.CAPTION_WIDTH // 4
+        assert film.n_frames == 9 and film.width == 2 * 4 * cell + frames.GAP
+        for number, side in ((0, "true"), (0, "dreamed"), (6, "true"), (6, "dreamed")):
+            film.seek(number)
+            panel = np.asarray(film.convert("RGB"), int)[-4 * cell :]
+            panel = panel[:, : 4 * cell] if side == "true" else panel[:, -4 * cell :]
+            middles = panel[cell // 2 :: cell, cell // 2 :: cell]
+            np.testing.assert_allclose(middles, shots[number][side][0], atol=40)
 
 
 def test_what_is_said_of_an_episode_is_what_happened():
@@ -90,8 +137,6 @@ def test_what_is_said_of_an_episode_is_what_happened():
     assert said["collisions"] == collisions and said["time_to_goal"] == reached[0]
     best = jax.jit(lambda start: solve_maze(world, start, params, 30).best_return)
     assert said["optimal_return"] == best(start)
-    frames = replay(world, said["show_obstacles"], said["show_directions"], said["show_action"])
-    np.testing.assert_array_equal(frames[1:], played.next_obs[0, ..., -3:])
     never = recorded._replace(info=recorded.info | {"at_goal": np.zeros((1, 30), bool)})
     assert say(played, never)["time_to_goal"] == 31
 

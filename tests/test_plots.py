@@ -80,7 +80,7 @@ def test_labels_of_points_that_lie_close_do_not_cover_each_other():
 
 
 def test_a_film_is_no_wider_than_a_page_and_its_captions_can_be_read(tmp_path):
-    film = np.zeros((2, 16, 16, 3), np.uint8)
+    film = [(np.zeros((16, 16, 3), np.uint8), f"step {number}") for number in range(2)]
     frames.film(tmp_path / "a.gif", {f"episode {number}": film for number in range(7)})
     with Image.open(tmp_path / "a.gif") as picture:
         (width, height), grey = picture.size, np.asarray(picture.convert("L"))

@@ -7,7 +7,7 @@ the host, so that other libraries can train in it.
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, ClassVar
 
@@ -30,6 +30,8 @@ class Discrete:
     """What environments of this package share: actions are numbered."""
 
     num_actions: ClassVar[int]
+    keys: ClassVar[Mapping[str, int]] = {}
+    """Actions by the arrow key, or space, with which a person chooses them."""
 
     def action_space(self, params: Any) -> spaces.Discrete:
         """One of ``num_actions``."""
@@ -182,14 +184,13 @@ class HostEnv(Host, gymnasium.Env[np.ndarray, np.int64]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Starts an episode; ``seed`` makes it and all that follows reproducible. With ``options``
-        low and high, every number of its first observation is uniform between them, as in
-        Gymnasium's own CartPole; `ValueError` where there are other options, or it cannot begin so.
+        obs, that is its first observation; with low and high, every number of it is uniform
+        between them, as in Gymnasium's own CartPole; `ValueError` where there are other options, or
+        it cannot begin so.
         """
         super().reset(seed=seed)
         if options:
-            low, high = _bounds(self.env, options)
-            space = self.observation_space
-            obs = self.np_random.uniform(low, high, space.shape).astype(space.dtype)
+            obs = _first_obs(self.env, options, self.observation_space, self.np_random)
             self._state = self.env.state_of(jnp.asarray(obs))  # type: ignore[attr-defined]
         else:
             obs, self._state = _reset(self.env, self.params, _draw_seeds(self.np_random, 1)[0])
@@ -318,12 +319,17 @@ def _check_render_mode(env: Environment, params: Any, render_mode: str | None) -
     return render_mode
 
 
-def _bounds(env: Environment, options: dict[str, Any]) -> tuple[float, float]:
-    known = ["high", "low"] if hasattr(env, "state_of") else []
-    if sorted(options) != known or not options["low"] <= options["high"]:
-        takes = "low and high, in this order of size" if known else "no options"
-        raise ValueError(f"options are {options}: {type(env).__name__} takes {takes}")
-    return options["low"], options["high"]
+def _first_obs(
+    env: Environment, options: dict[str, Any], space: Any, generator: np.random.Generator
+) -> np.ndarray:
+    known = hasattr(env, "state_of")
+    if known and sorted(options) == ["obs"] and np.shape(options["obs"]) == space.shape:
+        return np.asarray(options["obs"], space.dtype)
+    if known and sorted(options) == ["high", "low"] and options["low"] <= options["high"]:
+        obs = generator.uniform(options["low"], options["high"], space.shape)
+        return obs.astype(space.dtype)
+    takes = f"obs {space.shape}, or low and high, in this order of size" if known else "no options"
+    raise ValueError(f"options are {options}: {type(env).__name__} takes {takes}")
 
 
 def _draw_seeds(generator: np.random.Generator, count: int) -> np.ndarray:

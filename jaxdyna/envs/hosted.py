@@ -11,7 +11,7 @@ import threading
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from hashlib import blake2b
 from struct import Struct
 from typing import Any
@@ -23,6 +23,7 @@ import numpy as np
 from flax import struct
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.wrappers import TransformAction, TransformObservation
 
 from jaxdyna.envs.gymnasium import Discrete
 from jaxdyna.fields import check_counts, setting
@@ -113,6 +114,24 @@ class Hosted(Discrete):
     def observation_space(self, params: HostedParams) -> spaces.Box:
         """The world's; of vectors float32."""
         return self.host.first.space
+
+    def drawn(self) -> gymnasium.Env:
+        """One of the worlds, seen and acted in as here, that draws what people watch.
+
+        Raises:
+            ValueError: where it draws nothing.
+        """
+        make = partial(gymnasium.make, self.make) if isinstance(self.make, str) else self.make
+        try:
+            env: Any = make(render_mode="rgb_array")
+            env.reset(seed=0)
+            env.render()
+        except (gymnasium.error.Error, NotImplementedError, TypeError) as error:
+            raise ValueError(f"it draws nothing: {error}") from error
+        first = self.host.first
+        env = TransformAction(env, lambda action: int(first.actions.start + action),
+                              spaces.Discrete(self.num_actions))  # fmt: skip
+        return TransformObservation(env, first._seen, first.space)
 
     def reset(self, key: Key, params: HostedParams) -> tuple[jax.Array, HostedState]:
         """Begins an episode."""

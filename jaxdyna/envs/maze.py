@@ -53,6 +53,7 @@ class Maze(Pictures):
 
     default_params: ClassVar = MazeParams()
     num_actions: ClassVar = len(MOVES)
+    keys: ClassVar = {"left": 0, "right": 1, "up": 2, "down": 3, "space": WAIT}
 
     size: int = setting(16, "Cells a side.", at_least=2)
     num_obstacles: int = setting(5, "Obstacles.", at_least=0)

@@ -62,6 +62,12 @@ def _checked(env: Any) -> Any:
     raise ValueError(f"{type(env).__name__} is seen as {space}: let it be seen as {kinds}")
 
 
+def whole(said: str) -> str:
+    """The name with its module: ``maze`` is ``jaxdyna:Maze``."""
+    own = {name.lower(): name for name in importlib.import_module("jaxdyna.envs").__all__}
+    return f"jaxdyna:{own[said.lower()]}" if said.lower() in own else said
+
+
 def module_of(said: str) -> str:
     """The module that an environment's name begins with."""
     module = said.partition(":")[0]

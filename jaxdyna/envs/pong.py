@@ -41,6 +41,7 @@ class Pong(Pictures):
 
     default_params: ClassVar = PongParams()
     num_actions: ClassVar = NUM_ACTIONS
+    keys: ClassVar = {"up": 2, "down": 3, "space": 0}
 
     frame_skip: int = setting(4, "Frames a step, all with the same action.", at_least=1)
     scale: int = setting(

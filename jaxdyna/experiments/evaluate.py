@@ -1,4 +1,4 @@
-"""``python -m jaxdyna.experiments.evaluate DIR``: the kept policies of a run, in the true world."""
+"""``python -m jaxdyna.experiments.evaluate DIR``: a run's kept policies, in numbers or a film."""
 
 import sys
 from collections.abc import Sequence
@@ -21,29 +21,39 @@ PROG = "python -m jaxdyna.experiments.evaluate"
 
 @dataclass(frozen=True)
 class Call:
-    """Plays the policies that a run has kept in new episodes, and says what they earn."""
+    """Plays the policies that a run has kept in new episodes, and says what they earn; or films one
+    of each arm, a .gif or .mp4, and beside it a dream that takes the same actions.
+    """
 
     folder: tyro.conf.Positional[Path] = setting(help="of the run")
     episodes: int = setting(EPISODES, "that each plays", at_least=1)
     arm: tuple[str, ...] = setting((), "whose; all without")
+    seed: int | None = setting(None, "of the run; all without, of a film the first")
     gymnasium: bool = setting(False, "in Gymnasium's own world, where it has the same one")
+    film: Path | None = setting(None, "the GIF or MP4 that is made instead")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Plays, by the arguments or the process's, and returns the exit code: see `cli.command`."""
     words = sys.argv[1:] if argv is None else argv
-    usage = f"DIR [--episodes {EPISODES}] [--arm ARM...] [--gymnasium]\n\n{Call.__doc__}"
+    usage = f"DIR [--arm ARM...] [--seed N] [--episodes {EPISODES}] [--gymnasium] [--film FILE]"
+    usage = f"{usage}\n\n{Call.__doc__}"
     return cli.command(Call, usage, PROG, words or ["--help"], evaluate)
 
 
 def evaluate(call: Call, argv: Sequence[str]) -> int:
-    """Prints what each earns, and what the report says. `ValueError` where nothing is kept in the
-    folder, or Gymnasium has no such world.
+    """Prints what each earns, and what the report says, or films it. `ValueError` where nothing is
+    kept in the folder, or Gymnasium has no such world.
     """
     left, rows = load(call.folder), []
     with programs.kept():
+        if call.film is not None:
+            left.film(call.film, call.arm, call.seed)
+            print(f"Film: {call.film}")
+            return 0
         for arm in call.arm or left.kept:
-            for seed in left.kept.get(arm, [None]):
+            kept = left.kept.get(arm, [None])
+            for seed in kept if call.seed is None else [call.seed]:
                 earned = returns(left, arm, seed, call)
                 said = dict(
                     zip(left.results["runs"]["seeds"], left.curves[arm][RETURN], strict=True)

@@ -150,10 +150,12 @@ class LearnedEnvironment(Checked):
         that is seen so, by its ``state_of(obs)``. Bytes ``[height, width, 3]``.
         """
         real: Any = self.real
+        count = getattr(real, "num_frames", None)
+        newest = state.obs[..., -(state.obs.shape[-1] // (count or 1)) :]
         if state.obs.ndim != 3:
-            return real.render(real.state_of(state.obs), real.default_params)
-        channels = state.obs.shape[-1] // getattr(real, "num_frames", 1)
-        frame = jnp.broadcast_to(state.obs[..., -channels:], (*state.obs.shape[:2], 3))
+            world = real.env if count else real
+            return world.render(world.state_of(newest), world.default_params)
+        frame = jnp.broadcast_to(newest, (*newest.shape[:2], 3))
         return enlarge(frame, max(1, 256 // max(frame.shape)))
 
     def observation_space(self, params: LearnedParams) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from operator import itemgetter
@@ -18,7 +18,11 @@ from jaxdyna.experiments.engine.experiment import Entry, Experiment, Study
 from jaxdyna.experiments.engine.record import FORMAT, recorded
 from jaxdyna.experiments.engine.trained import EPISODES, REAL, RETURN, Keeper, Trained
 from jaxdyna.experiments.engine.work import HOOKS, Curves, runs_of
+from jaxdyna.experiments.report import frames
 from jaxdyna.fields import check_counts
+from jaxdyna.watched import Scene
+
+FILMED = 200
 
 
 def load(folder: str | Path, *parts: Experiment | Study) -> Loaded:
@@ -76,6 +80,38 @@ class Loaded:
         check_counts(episodes=episodes)
         keeper, kept, key, hparams = self._run(arm, seed)
         return np.asarray(keeper.play(kept, key, hparams, episodes), np.float64)
+
+    def film(self, path: str | Path, arms: Sequence[str] = (), seed: int | None = None) -> None:
+        """Films an episode of kept policies, its first `FILMED` steps, from the same start for all
+        arms, and beside each a dream that begins where it does and takes the same actions: of
+        models whose world is seen as frames, or says which state is seen so (``state_of``).
+
+        Args:
+            path: of a GIF, or with the ``film`` extra an MP4.
+            arms: by default all that keep any.
+            seed: of the run, by default the first that is kept of each arm.
+
+        Raises:
+            ValueError: as `trained`, and where nothing is kept, or a world cannot be watched.
+        """
+        path, columns = Path(path), {}
+        frames.check_film(path)
+        for arm, (run, scene) in self.scenes(arms, seed).items():
+            shots = scene.played(run.policy, self.options.seed, min(FILMED, run.num_steps))
+            columns |= {f"{arm}: {side}": [shot[side] for shot in shots] for side in scene.sides}
+        frames.film(path, columns)
+
+    def scenes(
+        self, arms: Sequence[str] = (), seed: int | None = None
+    ) -> dict[str, tuple[Trained, Scene]]:
+        """By arm what a run has learned, and its worlds to be watched; see `film`."""
+        runs = {arm: self.trained(arm, seed) for arm in arms or self.kept}
+        if not runs:
+            raise ValueError(f"{self.folder} keeps no policy: play with --keep-runs above 0")
+        return {
+            arm: (run, Scene(run.env, run.params, run.dream, run.dream_params))
+            for arm, run in runs.items()
+        }
 
     def register(
         self, env_id: str, arm: str | None = None, seed: int | None = None, **spec: Any

@@ -146,8 +146,12 @@ class FrameReport:
         shows = {arm: record.curves[names[arm]] for arm in asked}
         film = {arm: curves[DREAM] for arm, curves in shows.items() if DREAM in curves}
         if film:
-            truth = shows[next(iter(film))]["show_film_truth"]
-            pictures.film(record.out / "dream.gif", {"truth": truth} | film)
+            film = {"truth": shows[next(iter(film))]["show_film_truth"]} | film
+            said = {
+                name: [(frame, f"step {step}") for step, frame in enumerate(frames, start=1)]
+                for name, frames in film.items()
+            }
+            pictures.film(record.out / "dream.gif", said)
         drawn = (
             " Frames are lit above the threshold, or each pixel is drawn with the probability that "
             "it is believed to be lit."

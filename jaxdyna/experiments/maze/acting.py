@@ -2,21 +2,17 @@
 its report.
 """
 
-from functools import partial
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxdyna.envs import Maze, MazeParams, MazeState
 from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.maze.arms import SAID, STARTS, arms
 from jaxdyna.experiments.maze.options import LEAN, PAPER, QUICK, RULE, TUNED, MazeOptions, rule
-from jaxdyna.experiments.report import frames, frozen
+from jaxdyna.experiments.report import frozen
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.tables import markdown_table, median, with_interval
-from jaxdyna.statistics import episodes_to_solve, last_mean, mean_of_runs, running_mean, summarise
+from jaxdyna.statistics import last_mean, mean_of_runs, running_mean, summarise
 
 EPISODES = {"model_free": 700.0, "dyna": 250.0}
 RATIO = {"dyna": 0.36}
@@ -27,8 +23,6 @@ RARE, REACHED, WAITED = 0.5, 0.9, 0.25
 WAITING = 50  #: episodes over which it is counted how often the agent waits: it seldom has to
 LEARNED = {"collisions": "collisions are rare", "goal": "the goal is reached", "waits": "it waits"}
 TRAINED = ("dyna", "mpc", "mcts", "mpc_init")  #: arms with a model that learns
-FILMED = (1, 50, 100, 200)
-FILM_STEPS = 100
 SMOOTHED = 10
 DIFFERENT = (
     "Not the paper's, or not said there: Double DQN; dueling values and Huber's loss; draws by "
@@ -124,57 +118,6 @@ def order(record: Any) -> str:
     )
 
 
-def films(record: Any) -> str:
-    """Films of the first run's real episodes at stages of its training; none of swept boards."""
-    shown = {
-        name: _stages(record.options, curves)
-        for name, curves in report.drawn(record, ()).items()
-        if "show_action" in curves and "size" not in record.results["sweep"]
-    }
-    for name, stages in shown.items():
-        frames.film(record.out / f"film_{name}.gif", stages, first_step=0)
-    said = (
-        f"Real episodes of the first run, their first {FILM_STEPS} steps. Blue is the agent, red "
-        "an obstacle, green the goal; where they were before is fainter."
-    )
-    pictures = [f"![real episodes of {name}](film_{name}.gif)" for name in shown]
-    return report.paragraphs(said, *pictures) if shown else ""
-
-
-def _stages(options: MazeOptions, curves: Any) -> dict[str, np.ndarray]:
-    """Frames of real episodes of the first run, by title: the last is the one that it solved with,
-    or else the last of all.
-    """
-    played = len(curves["show_action"])
-    solved_at = episodes_to_solve(RULE.score(curves), RULE)[0]
-    end, first = int(min(solved_at, played)), max(options.dyna.num_real_first, 1)
-    ending = "solved" if solved_at <= played else "last, unsolved"
-    maze, stages = Maze(options.size, options.obstacles), {}
-    begun_and_done = [curves[f"show_{part}"] for part in ("obstacles", "directions", "action")]
-    for number in sorted({*(one for one in (*FILMED, first, first + 10) if one < end), end}):
-        title = f"episode {number}" + (f" ({ending})" if number == end else "")
-        shown = replay(maze, *(part[number - 1] for part in begun_and_done))
-        stages[title] = frames.trails(shown[:FILM_STEPS])
-    return stages
-
-
-def replay(
-    maze: Maze, obstacles: np.ndarray, directions: np.ndarray, actions: np.ndarray
-) -> np.ndarray:
-    """The frames ``[T + 1, H, W, 3]``, uint8, of an episode, by its obstacles' cells ``[n, 2]`` and
-    directions ``[n]`` at the start and its actions ``[T]``: nothing else in the Maze is random.
-    """
-
-    def step(state: MazeState, action: jax.Array) -> tuple[MazeState, jax.Array]:
-        frame, after, *_ = maze.step(jax.random.key(0), state, action, MazeParams())
-        return after, frame
-
-    cells = maze.start_cell, maze.goal_cell, obstacles, directions, 0
-    start = MazeState(*(jnp.asarray(part, jnp.int32) for part in cells))
-    frames = jax.jit(partial(jax.lax.scan, step))(start, jnp.asarray(actions, jnp.int32))[1]
-    return np.concatenate([maze.frame(start)[None], frames])
-
-
 def final(record: Any) -> str:
     """How good the final policies are."""
     rows = [
@@ -215,7 +158,7 @@ MAZE = Experiment(
             "model learns from it. An untrained model, which is always wrong, is not drawn.",
             TRAINED,
         ),
-        model_errors, films, final, report.arms_said(SAID), report.settings,
+        model_errors, final, report.arms_said(SAID), report.settings,
         lambda record: LITERAL if record.options.preset == "paper" else DIFFERENT, report.spent,
     ),
 )  # fmt: skip

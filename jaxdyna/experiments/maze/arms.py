@@ -139,7 +139,7 @@ def imitator(dyna: Dyna, config: DQNConfig, imitation: CloningConfig) -> Agent:
 def behaviour(maze: Maze, real: Transition, recorded: Recorded, params: MazeParams) -> Metrics:
     """What a real episode ``[1, T]`` was like: ``optimal_return``, the most that was to be had;
     ``collisions``; ``time_to_goal``, the steps until it is first reached, one more than the episode
-    has where it is not; what `held_back` counts; ``show_...``: films.
+    has where it is not; what `held_back` counts.
     """
     steps = real.action.shape[1]
     state, info = jax.tree.map(lambda leaf: leaf[0], recorded)
@@ -150,9 +150,6 @@ def behaviour(maze: Maze, real: Transition, recorded: Recorded, params: MazePara
         "optimal_return": planners.solve_maze(maze, start, params, steps).best_return,
         "collisions": info["collision"].sum().astype(jnp.float32),
         "time_to_goal": reached.astype(jnp.float32),
-        "show_action": real.action[0].astype(jnp.int8),
-        "show_obstacles": start.obstacles.astype(jnp.int8),
-        "show_directions": start.directions.astype(jnp.int8),
     }
 
 

@@ -57,7 +57,7 @@ def arms(options: PongOptions) -> dict[str, study.Made]:
 
     def hooks(name: str, dyna: Dyna) -> study.Hooks:
         known = given(options, name, dyna.model)
-        return study.Hooks(judge, show, piece=10, block=options.block, given=known)
+        return study.Hooks(judge, piece=10, block=options.block, given=known)
 
     blurring = partial(study.dyna_arm, config=options.dyna, hparams=theirs, hooks=hooks("l2", l2))
     return study.standard_arms(
@@ -106,13 +106,6 @@ def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: Any) ->
     if isinstance(hparams.env, AtariParams):
         kept["game_score"] = scores(env, act, key_games, env.default_params)
     return kept
-
-
-def show(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: Any) -> Metrics:
-    """``greedy``: the frames of one episode of it."""
-    act = study.greedy_policy(dyna, state, hparams)
-    played = rollout(dyna.env, act, key, hparams.env, 1, num_steps=config.num_steps)
-    return {"greedy": played.next_obs[0, ..., -3:]}
 
 
 def scores(env: Environment, act: Any, key: Key, env_params: Any, games: int = GAMES) -> jax.Array:

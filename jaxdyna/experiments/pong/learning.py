@@ -6,14 +6,14 @@ from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.arms import GAMES, GREEDY_EPISODES, SAID, arms
 from jaxdyna.experiments.pong.options import LEAN, MAIN_ARMS, PAPER, QUICK, TUNED, PongOptions
-from jaxdyna.experiments.report import frames, plots
+from jaxdyna.experiments.report import plots
 from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.report.summaries import comparison, comparisons
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
 from jaxdyna.experiments.study.grids import both_grids
 from jaxdyna.statistics import SolveRule, mean_of_runs
 
-FILM_STEPS, SMOOTHED = 150, 10
+SMOOTHED = 10
 DREAMLESS = ("model_free", "max_updates", "more_updates")
 BLURRED, CONTROL = "dyna_l2", "more_updates"
 DRAWN = (*MAIN_ARMS, CONTROL)
@@ -85,23 +85,18 @@ def cause(record: Any) -> str:
 
 def final(record: Any) -> str:
     """What the final policies earn, of whole games beside what the literature's do after 100,000
-    steps, and a film of the first run's.
+    steps.
     """
-    arms, shown = record.results["arms"].items(), report.drawn(record, MAIN_ARMS).items()
+    arms = record.results["arms"].items()
     rows = [[name, with_interval(arm["greedy_return"], 2)] for name, arm in arms]
     scores = {name: arm["game_score"] for name, arm in arms if "game_score" in arm}
     games = [[name, with_interval(score, 1)] for name, score in scores.items()]
     games += [[name, f"{score:.1f}"] for name, score in ANCHORS.items()]
-    film = {name: one["show_greedy"][:FILM_STEPS] for name, one in shown if "show_greedy" in one}
-    if film:
-        frames.film(record.out / "film.gif", film)
     return report.paragraphs(
         "## The final policy",
         f"Greedy, {GREEDY_EPISODES} new episodes a run.",
         markdown_table(["arm", "point difference: mean (95% interval)"], rows),
         *((WHOLE_GAMES, markdown_table(["policy", "score of a game"], games)) if scores else ()),
-        world.COLOURS_SAID if film and record.options.frames == "objects" else "",
-        "![the first run's final policies](film.gif)" if film else "",
     )
 
 

@@ -1,6 +1,9 @@
-"""Pictures of frames: what was seen, what came, what was predicted; films as GIF."""
+"""Pictures of frames: what was seen, what came, what was predicted; films as GIF or MP4."""
 
+import os
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +16,8 @@ SCALE, WIDEST, CAPTION_WIDTH = 16, 320, 190
 #: pixels across of a page, which a film is not wider than, and between two columns
 PAGE, GAP = 830, 12
 LETTERS = 15  #: of a caption: pixels, and as many where a page shows it
-PAUSE_MS = 160
+#: between two frames, at the most and at the least, and what a film lasts where that allows it
+PAUSE_MS, QUICKEST_MS, FILM_MS = 160, 40, 12_000
 TITLES = ("input (older fainter)", "what came", "what was believed", "error")
 
 
@@ -39,40 +43,65 @@ def trail(stack: np.ndarray) -> np.ndarray:
     return np.max([frame * part for frame, part in zip(frames, strength, strict=True)], axis=0)
 
 
-def trails(frames: np.ndarray) -> np.ndarray:
-    """A film, uint8 ``[T, H, W, 3]``, in which each frame shows the last four: `trail` of each."""
-    padded = np.concatenate([np.repeat(frames[:1], 3, axis=0), frames])
-    stacks = [padded[number : number + len(frames)] for number in range(4)]
-    return trail(np.concatenate(stacks, axis=-1)).astype(np.uint8)
+def film(path: Path, columns: Mapping[str, Sequence[tuple[np.ndarray, str]]]) -> None:
+    """Frames side by side, in rows no wider than a page: by title uint8 ``[H, W, 3]`` and what is
+    said of each; one that ends sooner than others stands still.
 
-
-def film(path: Path, columns: Mapping[str, np.ndarray], first_step: int = 1) -> None:
-    """Frames side by side as a GIF that repeats, in rows no wider than a page, by title uint8 ``[T,
-    H, W, 3]``; the shortest ends the film.
+    Args:
+        path: of a GIF, which repeats, or an MP4, as its name ends; see `check_film`.
+        columns: of equally large frames.
     """
     pictures = []
-    for step, frames in enumerate(zip(*columns.values(), strict=False), start=first_step):
-        parts = [
-            _captioned(frame, f"{name}\nstep {step}")
-            for name, frame in zip(columns, frames, strict=True)
-        ]
-        picture = Image.fromarray(_in_rows(parts))
-        # By coverage of the colours: the median cut gives a small thing the colour of a large one.
-        pictures.append(picture.quantize(64, Image.Quantize.MAXCOVERAGE))
-    pictures[0].save(
-        path, save_all=True, append_images=pictures[1:], duration=PAUSE_MS, loop=0, optimize=True
+    for shots in zip_longest(*columns.values()):
+        now = [one or column[-1] for one, column in zip(shots, columns.values(), strict=True)]
+        pictures.append(_in_rows([
+            _captioned(frame, f"{name}\n{said}")
+            for name, (frame, said) in zip(columns, now, strict=True)
+        ]))  # fmt: skip
+    pause = min(PAUSE_MS, max(QUICKEST_MS, FILM_MS // len(pictures) // 10 * 10))
+    if path.suffix == ".mp4":
+        _write_mp4(path, pictures, 1000 / pause)
+        return
+    # By coverage of the colours: the median cut gives a small thing the colour of a large one.
+    first, *rest = (
+        Image.fromarray(picture).quantize(64, Image.Quantize.MAXCOVERAGE) for picture in pictures
     )
+    first.save(path, save_all=True, append_images=rest, duration=pause, loop=0, optimize=True)
+
+
+def check_film(path: Path) -> None:
+    """Raises `ValueError` where no film can be written there, before it is made."""
+    if path.suffix not in (".gif", ".mp4"):
+        raise ValueError(f"{path} is no name of a film: let it end in .gif or .mp4")
+    if not os.access(path.parent, os.W_OK):
+        raise ValueError(f"cannot write {path}: name a folder that is there and may be written to")
+    if path.suffix == ".mp4" and find_spec("imageio_ffmpeg") is None:
+        said = "name a .gif, or python -m pip install 'jaxdyna[film]'"
+        raise ValueError(f"films as MP4 need imageio-ffmpeg: {said}")
+
+
+def _write_mp4(path: Path, pictures: Sequence[np.ndarray], rate: float) -> None:
+    import imageio_ffmpeg  # noqa: PLC0415  (an extra that most people do without)
+
+    height, width = (side + side % 2 for side in pictures[0].shape[:2])  # as its coding asks
+    size, how = (width, height), {"macro_block_size": 2, "ffmpeg_log_level": "error"}
+    writer = imageio_ffmpeg.write_frames(str(path), size, fps=rate, quality=8, **how)
+    writer.send(None)
+    for picture in pictures:
+        edges = (0, height - picture.shape[0]), (0, width - picture.shape[1]), (0, 0)
+        writer.send(np.pad(picture, edges, constant_values=255))
+    writer.close()
 
 
 def _in_rows(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Pictures of one size ``[H, W, 3]`` in as few rows as a page takes, equally long ones."""
-    height, width, _ = parts[0].shape
+    """Pictures ``[H, W, 3]`` in as few rows as a page takes, equally long ones."""
+    height, width = np.max([part.shape[:2] for part in parts], axis=0)
     rows = -(-len(parts) // max((PAGE + GAP) // (width + GAP), 1))
     columns = -(-len(parts) // rows)
     sheet = np.full((rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3), 255, np.uint8)
     for number, part in enumerate(parts):
         top, left = (number // columns) * (height + GAP), (number % columns) * (width + GAP)
-        sheet[top : top + height, left : left + width] = part
+        sheet[top : top + part.shape[0], left : left + part.shape[1]] = part
     return sheet
 
 

@@ -374,7 +374,8 @@ def kept_policies(record: Any) -> str:
     return paragraphs(
         "## Kept policies",
         f"Mean return over {episodes} new episodes of each policy that was kept, as evaluated: "
-        "`jaxdyna.load` opens them, `python -m jaxdyna.experiments.evaluate` plays them again.",
+        "`jaxdyna.load` opens them, `python -m jaxdyna.experiments.evaluate` plays them again, and "
+        "films them (`--film`).",
         markdown_table(["arm", "mean (95% interval)", "each run's"], rows),
     )
 

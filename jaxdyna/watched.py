@@ -1,0 +1,102 @@
+"""Worlds that are watched, in films and under the keyboard: the true one, and a dream that begins
+where it does, side by side under the same actions.
+"""
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxdyna.envs import Drawn, Hosted, HostEnv
+from jaxdyna.types import Environment
+
+Shot = tuple[np.ndarray, str]
+"""What is seen of a world, bytes ``[height, width, 3]``, and what is said of its episode."""
+
+
+class Side:
+    """One world: frames as they are seen, of a stack the newest; of vectors what the world draws.
+
+    Raises:
+        ValueError: where it draws nothing.
+    """
+
+    def __init__(self, env: Environment, params: Any):
+        stack: Any = getattr(env, "real", env)
+        shape, count = env.observation_space(params).shape, getattr(stack, "num_frames", 1)
+        self.channels = shape[-1] // count
+        alone = stack.env if hasattr(env, "num_frames") and count == 1 else env
+        if len(shape) == 1 and isinstance(alone, Hosted):
+            self.host: Any = alone.drawn()
+        else:
+            self.host = HostEnv(env, params, None if len(shape) == 3 else "rgb_array")
+
+    def begin(self, **how: Any) -> None:
+        """An episode, ``how`` being what Gymnasium's ``reset`` takes."""
+        self.obs, _ = self.host.reset(**how)
+        self.steps, self.earned, self.over = 0, 0.0, False
+
+    def step(self, action: Any) -> None:
+        """Goes on, unless the episode is over."""
+        if not self.over:
+            self.obs, reward, terminated, truncated, _ = self.host.step(action)
+            self.steps, self.earned = self.steps + 1, self.earned + float(reward)
+            self.over = bool(terminated or truncated)
+
+    def shot(self) -> Shot:
+        """As it is now."""
+        said = f"step {self.steps}, return {self.earned:.4g}{', over' * self.over}"
+        if self.obs.ndim != 3:
+            return self.host.render(), said
+        newest = self.obs[..., -self.channels :]
+        return np.broadcast_to(newest, (*newest.shape[:2], 3)), said
+
+
+class Scene:
+    """The true world, and a dream of it: where there is one, and what is seen says which state it
+    is (``state_of``).
+
+    Attributes:
+        sides: by name, ``true`` and perhaps ``dreamed``.
+    """
+
+    def __init__(self, env: Environment, params: Any, dream: Any = None, dream_params: Any = None):
+        self.sides = {"true": Side(env, params)}
+        if isinstance(dream, Drawn):  # what is below it begins anywhere
+            dream, dream_params = dream.env, dream_params.env
+        if hasattr(dream, "state_of"):
+            with suppress(ValueError):
+                self.sides["dreamed"] = Side(dream, dream_params)
+
+    def begin(self, seed: int) -> None:
+        """An episode: the same for the same seed."""
+        self.sides["true"].begin(seed=seed)
+        self.dream()
+
+    def dream(self) -> None:
+        """The dream begins anew where the true world is."""
+        if "dreamed" in self.sides:
+            self.sides["dreamed"].begin(options={"obs": self.sides["true"].obs})
+
+    def step(self, action: Any) -> None:
+        """The same on all sides."""
+        for side in self.sides.values():
+            side.step(action)
+
+    def shots(self) -> dict[str, Shot]:
+        """All sides as they are now."""
+        return {name: side.shot() for name, side in self.sides.items()}
+
+    def played(self, act: Callable[..., Any], seed: int, steps: int) -> list[dict[str, Shot]]:
+        """The shots of an episode, of so many steps at the most, in which ``(obs, key) -> action``
+        sees the true world.
+        """
+        self.begin(seed)
+        key, shots = jax.random.key(seed), [self.shots()]
+        while not self.sides["true"].over and len(shots) <= steps:
+            key, key_act = jax.random.split(key)
+            self.step(np.asarray(act(self.sides["true"].obs, key_act)))
+            shots.append(self.shots())
+        return shots
