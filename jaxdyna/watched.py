@@ -9,7 +9,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxdyna.envs import Drawn, Hosted, HostEnv
+from jaxdyna.envs import Hosted, HostEnv
+from jaxdyna.envs.gymnasium import CannotRenderError
 from jaxdyna.types import Environment
 
 Shot = tuple[np.ndarray, str]
@@ -23,11 +24,10 @@ class Side:
         ValueError: where it draws nothing.
     """
 
-    def __init__(self, env: Environment, params: Any):
-        stack: Any = getattr(env, "real", env)
-        shape, count = env.observation_space(params).shape, getattr(stack, "num_frames", 1)
-        self.channels = shape[-1] // count
-        alone = stack.env if hasattr(env, "num_frames") and count == 1 else env
+    def __init__(self, env: Any, params: Any, num_frames: int):
+        shape = env.observation_space(params).shape
+        self.channels = shape[-1] // num_frames
+        alone = env.env if num_frames == 1 and hasattr(env, "num_frames") else env
         if len(shape) == 1 and isinstance(alone, Hosted):
             self.host: Any = alone.drawn()
         else:
@@ -63,12 +63,11 @@ class Scene:
     """
 
     def __init__(self, env: Environment, params: Any, dream: Any = None, dream_params: Any = None):
-        self.sides = {"true": Side(env, params)}
-        if isinstance(dream, Drawn):  # what is below it begins anywhere
-            dream, dream_params = dream.env, dream_params.env
+        count = getattr(env, "num_frames", 1)
+        self.sides = {"true": Side(env, params, count)}
         if hasattr(dream, "state_of"):
-            with suppress(ValueError):
-                self.sides["dreamed"] = Side(dream, dream_params)
+            with suppress(CannotRenderError):
+                self.sides["dreamed"] = Side(dream, dream_params, count)
 
     def begin(self, seed: int) -> None:
         """An episode: the same for the same seed."""

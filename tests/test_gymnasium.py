@@ -263,7 +263,8 @@ def test_an_episode_begins_where_it_is_told(name):
     begun, _ = env.reset(options={"obs": obs})
     np.testing.assert_array_equal(begun, obs)
     state = env.unwrapped.env.state_of(jnp.asarray(obs))
-    after = env.unwrapped.env.step(jax.random.key(0), state, 1, env.unwrapped.params)[0]
+    action = jnp.int32(1)
+    after = env.unwrapped.env.step(jax.random.key(0), state, action, env.unwrapped.params)[0]
     np.testing.assert_allclose(env.step(1)[0], after, rtol=1e-6)
 
 

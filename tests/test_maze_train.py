@@ -101,6 +101,7 @@ def test_a_film_shows_a_rollout_and_the_dream_of_its_actions(finished, tmp_path)
         said = f"step 6, return {float(played.reward.sum()):.4g}"
         assert shots[-1][side][1].startswith(said)
     left.film(tmp_path / "maze.gif")
+    shots = scene.played(run.policy, left.options.seed, 8)
     with Image.open(tmp_path / "maze.gif") as film:
         cell = frames.CAPTION_WIDTH // 4
         assert film.n_frames == 9 and film.width == 2 * 4 * cell + frames.GAP

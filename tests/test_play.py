@@ -11,7 +11,7 @@ import sys
 import termios
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +22,8 @@ from jaxdyna.envs import CartPole, Catch, FrameStack, Maze, Pong
 from jaxdyna.watched import Scene
 
 TODAY = Path(__file__).parent / "data" / "kept"
-HOME, LEFT = "\x1b[H", "\x1b[?1049l"
-"""Before each screen, and after the last one."""
+HOME, LEFT, SHOWN = "\x1b[H", "\x1b[?1049l", "\x1b[?25h"
+"""Before each screen, after the last one, and where the cursor is seen again."""
 UP, RIGHT, DOWN = "\x1b[A", "\x1b[C", "\x1b[B"
 BLOCKS = re.compile(r"\x1b\[38;2;(\d+);(\d+);(\d+);48;2;(\d+);(\d+);(\d+)m(▀+)")
 ATTACHED = (
@@ -52,8 +52,9 @@ class Terminal:
 
     @property
     def screens(self):
-        """What was shown, one after the other."""
-        return self.written.decode(errors="ignore").split(HOME)[1:]
+        """What was shown, one after the other; whole ones."""
+        shown = self.written.decode(errors="ignore").split(HOME)
+        return [screen for screen in shown if "q: leave" in screen]
 
     def type(self, keys):
         os.write(self.master, keys.encode())
@@ -63,13 +64,17 @@ class Terminal:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             for screen in self.screens:
-                if "q: leave" in screen and shown(screen):
+                if shown(screen):
                     return screen
             time.sleep(0.02)
         raise AssertionError(self.screens[-1:])
 
-    def restored(self):
-        return termios.tcgetattr(self.slave) == self.before and LEFT.encode() in self.written
+    def restored(self, seconds=10):
+        end = time.monotonic() + seconds
+        while LEFT.encode() not in self.written and time.monotonic() < end:
+            time.sleep(0.02)
+        shown = self.written.rpartition(LEFT.encode())[1] and SHOWN.encode() in self.written
+        return shown and termios.tcgetattr(self.slave) == self.before
 
 
 @pytest.fixture
@@ -80,14 +85,15 @@ def terminal():
     os.close(made.master)
 
 
-@pytest.fixture
-def here(terminal, monkeypatch):
-    """This process's own terminal."""
+@contextmanager
+def at(terminal):
+    """This process is there; pytest puts its own files in their place before each test."""
     with ExitStack() as stack:
+        patch = stack.enter_context(pytest.MonkeyPatch.context())
         for name, mode in (("stdin", "r"), ("stdout", "w")):
             file = stack.enter_context(open(terminal.slave, mode, closefd=False))
-            monkeypatch.setattr(sys, name, file)
-        yield terminal
+            patch.setattr(sys, name, file)
+        yield
 
 
 def pixels(screen):
@@ -144,24 +150,26 @@ def keys_later(terminal, *keys):
     threading.Thread(target=type_them, daemon=True).start()
 
 
-def test_a_dream_beside_the_truth(here):
+def test_a_dream_beside_the_truth(terminal):
     """A new start is dreamed of from there, and so is where the true world is after ``d``."""
-    keys_later(here, RIGHT, RIGHT, "d", "n", "q")
-    assert play.main(["cartpole", "--run", str(TODAY)]) == 0
-    said = [re.findall(r"(step \d+), return", screen) for screen in here.screens]
+    keys_later(terminal, RIGHT, RIGHT, "d", "n", "q")
+    with at(terminal):
+        assert play.main(["cartpole", "--run", str(TODAY)]) == 0
+    screens = terminal.screens
+    said = [re.findall(r"(step \d+), return", screen) for screen in screens]
     assert said == [[f"step {true}", f"step {dreamed}"]
                     for true, dreamed in ((0, 0), (1, 1), (2, 2), (2, 0), (0, 0))]  # fmt: skip
-    assert all("true" in screen and "dreamed" in screen for screen in here.screens)
+    assert all("true" in screen and "dreamed" in screen for screen in screens)
     for number in (0, 3, 4):  # side by side the same
-        both = pixels(here.screens[number])
+        both = pixels(screens[number])
         half = both.shape[1] // 2
         np.testing.assert_array_equal(both[:, :half], both[:, half:])
-    assert not np.array_equal(pixels(here.screens[0]), pixels(here.screens[4]))
-    assert here.restored()
+    assert not np.array_equal(pixels(screens[0]), pixels(screens[4]))
+    assert terminal.restored()
 
 
 @pytest.mark.parametrize("end", ["an error", "SIGTERM"])
-def test_the_terminal_is_as_before_whatever_ends_it(end, here, monkeypatch):
+def test_the_terminal_is_as_before_whatever_ends_it(end, terminal, monkeypatch):
     def step(scene, action):
         if end == "SIGTERM":
             os.kill(os.getpid(), signal.SIGTERM)
@@ -169,10 +177,11 @@ def test_the_terminal_is_as_before_whatever_ends_it(end, here, monkeypatch):
 
     handler = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(Scene, "step", step)
-    keys_later(here, "0")
-    with pytest.raises(SystemExit if end == "SIGTERM" else ZeroDivisionError):
+    keys_later(terminal, "0")
+    kind = SystemExit if end == "SIGTERM" else ZeroDivisionError
+    with at(terminal), pytest.raises(kind):
         play.main(["catch"])
-    assert here.restored() and signal.getsignal(signal.SIGTERM) is handler
+    assert terminal.restored() and signal.getsignal(signal.SIGTERM) is handler
 
 
 def test_keys():
@@ -187,21 +196,17 @@ def test_keys():
     ("argv", "said"),
     [
         (["mase"], "mase is no world"),
-        ([], None),
         (["maze", "--run", str(TODAY)], "is a run in CartPole: leave out maze"),
         (["--arm", "dyna"], "name a world, or the --run of one"),
         (["--run", str(TODAY), "--arm", "nobody"], "has no arm nobody"),
         (["--run", str(TODAY / "nowhere")], "has no result of a run"),
     ],
 )
-def test_what_cannot_be_played_is_said_in_one_line(argv, said, here, capsys):
-    if said is None:
-        assert play.main(argv) == 0  # the help
-        return
-    with pytest.raises(SystemExit, match="2"):
+def test_what_cannot_be_played_is_said_in_one_line(argv, said, terminal, capsys):
+    with at(terminal), pytest.raises(SystemExit, match="2"):
         play.main(argv)
     [line] = capsys.readouterr().err.strip().splitlines()
-    assert said in line and here.written == b""
+    assert said in line and terminal.written == b""
 
 
 def test_where_there_is_no_terminal(capsys):

@@ -121,9 +121,9 @@ class Hosted(Discrete):
         Raises:
             ValueError: where it draws nothing.
         """
-        make = partial(gymnasium.make, self.make) if isinstance(self.make, str) else self.make
+        make: Any = partial(gymnasium.make, self.make) if isinstance(self.make, str) else self.make
         try:
-            env: Any = make(render_mode="rgb_array")
+            env = make(render_mode="rgb_array")
             env.reset(seed=0)
             env.render()
         except (gymnasium.error.Error, NotImplementedError, TypeError) as error:

@@ -144,6 +144,11 @@ class Drawn(Replayed):
 
     draw: Callable[[Key, Any], tuple[jax.Array, Any]] = draw_start
 
+    @property
+    def state_of(self) -> Callable[[jax.Array], Any]:
+        """The environment's, where it has one."""
+        return self.env.state_of  # type: ignore[attr-defined]
+
     def reset(self, key: Key, params: ReplayedParams) -> tuple[jax.Array, Any]:
         """Draws where it begins."""
         return self.draw(key, params.start)

@@ -20,7 +20,7 @@ from jaxdyna.experiments.engine.trained import EPISODES, REAL, RETURN, Keeper, T
 from jaxdyna.experiments.engine.work import HOOKS, Curves, runs_of
 from jaxdyna.experiments.report import frames
 from jaxdyna.fields import check_counts
-from jaxdyna.watched import Scene
+from jaxdyna.watched import Scene, Shot
 
 FILMED = 200
 
@@ -94,8 +94,8 @@ class Loaded:
         Raises:
             ValueError: as `trained`, and where nothing is kept, or a world cannot be watched.
         """
-        path, columns = Path(path), {}
-        frames.check_film(path)
+        columns: dict[str, list[Shot]] = {}
+        frames.check_film(path := Path(path))
         for arm, (run, scene) in self.scenes(arms, seed).items():
             shots = scene.played(run.policy, self.options.seed, min(FILMED, run.num_steps))
             columns |= {f"{arm}: {side}": [shot[side] for shot in shots] for side in scene.sides}
