@@ -32,12 +32,11 @@ from jaxdyna.fields import setting
 from jaxdyna.watched import Scene, Shot
 
 PROG = "python -m jaxdyna.play"
+#: an arrow or the like, of which the last letter counts, or what is a letter itself
 TYPED = re.compile(rb"\x1b[\[O][\d;]*(.)|([^\x1b])")
-"""An arrow or the like, of which the last letter counts, or what is a letter itself."""
 ARROWS = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
 LETTERS = {b" ": "space", b"\x04": "q"}
-GAP, LINES = 2, 4
-"""Columns between two pictures, and lines of text."""
+GAP, LINES = 2, 4  #: columns between two pictures, and lines of text
 
 
 @dataclass(frozen=True)
@@ -60,11 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def play(call: Call, argv: Sequence[str]) -> int:
-    """Steers until a key ends it.
-
-    Raises:
-        ValueError: where there is no terminal, no such world, or nothing to be watched.
-    """
+    """Steers until a key ends it; `ValueError` where there is no terminal, or nothing to watch."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise ValueError("this is no terminal: play where keys are typed and colours are shown")
     with programs.kept():
@@ -86,7 +81,7 @@ def watched(call: Call) -> tuple[Any, Scene]:
             raise ValueError("there is nothing to play: name a world, or the --run of one")
         return env, Scene(env, env.default_params)
     scenes = load(call.run).scenes([call.arm] if call.arm else [], call.seed)
-    run, scene = max(scenes.values(), key=lambda one: len(one[1].sides))
+    run, scene = next(iter(scenes.values()))
     own = type(getattr(run.env, "env", run.env))
     if env is not None and type(env) is not own:
         raise ValueError(f"{call.run} is a run in {own.__name__}: leave out {call.world}")

@@ -13,15 +13,13 @@ from jaxdyna.envs import Hosted, HostEnv
 from jaxdyna.envs.gymnasium import CannotRenderError
 from jaxdyna.types import Environment
 
+#: what is seen of a world, bytes ``[height, width, 3]``, and what is said of its episode
 Shot = tuple[np.ndarray, str]
-"""What is seen of a world, bytes ``[height, width, 3]``, and what is said of its episode."""
 
 
 class Side:
-    """One world: frames as they are seen, of a stack the newest; of vectors what the world draws.
-
-    Raises:
-        ValueError: where it draws nothing.
+    """One world: frames as they are seen, of a stack the newest; of vectors what the world draws,
+    and `ValueError` where it draws nothing.
     """
 
     def __init__(self, env: Any, params: Any, num_frames: int):
@@ -55,11 +53,8 @@ class Side:
 
 
 class Scene:
-    """The true world, and a dream of it: where there is one, and what is seen says which state it
-    is (``state_of``).
-
-    Attributes:
-        sides: by name, ``true`` and perhaps ``dreamed``.
+    """The true world and a dream of it, ``sides`` by name: where there is a learned one, of a world
+    that is seen as frames, or whose vectors say which state is seen so (``state_of``).
     """
 
     def __init__(self, env: Environment, params: Any, dream: Any = None, dream_params: Any = None):

@@ -132,7 +132,7 @@ def test_films_of_what_is_kept(tmp_path, capsys):
     ]
     with Image.open(path) as film:
         assert film.n_frames == 1 + max(steps) and film.width <= frames.PAGE
-    (_, alone), (run, both) = left.scenes().values()
+    (run, both), (_, alone) = left.scenes().values()
     assert [*alone.sides] == ["true"] and [*both.sides] == ["true", "dreamed"]
     true, dreamed = both.played(run.policy, 0, 1)[1].values()
     assert true[0].shape == dreamed[0].shape == (200, 300, 3) and true[1].startswith("step 1, ret")

@@ -30,8 +30,7 @@ class Discrete:
     """What environments of this package share: actions are numbered."""
 
     num_actions: ClassVar[int]
-    keys: ClassVar[Mapping[str, int]] = {}
-    """Actions by the arrow key, or space, with which a person chooses them."""
+    keys: ClassVar[Mapping[str, int]] = {}  #: actions by the arrow, or space, that chooses them
 
     def action_space(self, params: Any) -> spaces.Discrete:
         """One of ``num_actions``."""

@@ -116,10 +116,8 @@ class Hosted(Discrete):
         return self.host.first.space
 
     def drawn(self) -> gymnasium.Env:
-        """One of the worlds, seen and acted in as here, that draws what people watch.
-
-        Raises:
-            ValueError: where it draws nothing.
+        """One of the worlds, seen and acted in as here, that draws what people watch; `ValueError`
+        where it draws nothing.
         """
         make: Any = partial(gymnasium.make, self.make) if isinstance(self.make, str) else self.make
         try:

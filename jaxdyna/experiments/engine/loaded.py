@@ -82,36 +82,37 @@ class Loaded:
         return np.asarray(keeper.play(kept, key, hparams, episodes), np.float64)
 
     def film(self, path: str | Path, arms: Sequence[str] = (), seed: int | None = None) -> None:
-        """Films an episode of kept policies, its first `FILMED` steps, from the same start for all
-        arms, and beside each a dream that begins where it does and takes the same actions: of
-        models whose world is seen as frames, or says which state is seen so (``state_of``).
+        """Films an episode of kept policies, the first `FILMED` steps, from the same start for all
+        arms, and beside each a dream that begins where it does and takes the same actions, see
+        `jaxdyna.watched.Scene`. `ValueError` as `trained`, and where a world cannot be watched.
 
         Args:
             path: of a GIF, or with the ``film`` extra an MP4.
             arms: by default all that keep any.
             seed: of the run, by default the first that is kept of each arm.
-
-        Raises:
-            ValueError: as `trained`, and where nothing is kept, or a world cannot be watched.
         """
         columns: dict[str, list[Shot]] = {}
         frames.check_film(path := Path(path))
-        for arm, (run, scene) in self.scenes(arms, seed).items():
+        scenes = self.scenes(arms, seed)
+        for arm, (run, scene) in scenes.items():
             shots = scene.played(run.policy, self.options.seed, min(FILMED, run.num_steps))
             columns |= {f"{arm}: {side}": [shot[side] for shot in shots] for side in scene.sides}
-        frames.film(path, columns)
+        frames.film(path, columns, max(len(scene.sides) for _, scene in scenes.values()))
 
     def scenes(
         self, arms: Sequence[str] = (), seed: int | None = None
     ) -> dict[str, tuple[Trained, Scene]]:
-        """By arm what a run has learned, and its worlds to be watched; see `film`."""
+        """By arm what a run has learned, and its worlds to be watched, as `film` does; those that
+        have a dream come first.
+        """
         runs = {arm: self.trained(arm, seed) for arm in arms or self.kept}
         if not runs:
             raise ValueError(f"{self.folder} keeps no policy: play with --keep-runs above 0")
-        return {
+        scenes = {
             arm: (run, Scene(run.env, run.params, run.dream, run.dream_params))
             for arm, run in runs.items()
         }
+        return dict(sorted(scenes.items(), key=lambda one: -len(one[1][1].sides)))
 
     def register(
         self, env_id: str, arm: str | None = None, seed: int | None = None, **spec: Any

@@ -43,13 +43,12 @@ def trail(stack: np.ndarray) -> np.ndarray:
     return np.max([frame * part for frame, part in zip(frames, strength, strict=True)], axis=0)
 
 
-def film(path: Path, columns: Mapping[str, Sequence[tuple[np.ndarray, str]]]) -> None:
-    """Frames side by side, in rows no wider than a page: by title uint8 ``[H, W, 3]`` and what is
-    said of each; one that ends sooner than others stands still.
-
-    Args:
-        path: of a GIF, which repeats, or an MP4, as its name ends; see `check_film`.
-        columns: of equally large frames.
+def film(
+    path: Path, columns: Mapping[str, Sequence[tuple[np.ndarray, str]]], together: int = 1
+) -> None:
+    """Frames side by side, in rows no wider than a page, each time so many ``together``: by title
+    uint8 ``[H, W, 3]`` and what is said of each; one that ends sooner than others stands still. The
+    name of the file (`check_film`) says whether it is a GIF, which repeats, or an MP4.
     """
     pictures = []
     for shots in zip_longest(*columns.values()):
@@ -57,7 +56,7 @@ def film(path: Path, columns: Mapping[str, Sequence[tuple[np.ndarray, str]]]) ->
         pictures.append(_in_rows([
             _captioned(frame, f"{name}\n{said}")
             for name, (frame, said) in zip(columns, now, strict=True)
-        ]))  # fmt: skip
+        ], together))  # fmt: skip
     pause = min(PAUSE_MS, max(QUICKEST_MS, FILM_MS // len(pictures) // 10 * 10))
     if path.suffix == ".mp4":
         _write_mp4(path, pictures, 1000 / pause)
@@ -93,11 +92,12 @@ def _write_mp4(path: Path, pictures: Sequence[np.ndarray], rate: float) -> None:
     writer.close()
 
 
-def _in_rows(parts: Sequence[np.ndarray]) -> np.ndarray:
+def _in_rows(parts: Sequence[np.ndarray], together: int) -> np.ndarray:
     """Pictures ``[H, W, 3]`` in as few rows as a page takes, equally long ones."""
     height, width = np.max([part.shape[:2] for part in parts], axis=0)
-    rows = -(-len(parts) // max((PAGE + GAP) // (width + GAP), 1))
-    columns = -(-len(parts) // rows)
+    groups = -(-len(parts) // together)
+    rows = -(-groups // max((PAGE + GAP) // (width + GAP) // together, 1))
+    columns = -(-groups // rows) * together
     sheet = np.full((rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3), 255, np.uint8)
     for number, part in enumerate(parts):
         top, left = (number // columns) * (height + GAP), (number % columns) * (width + GAP)
