@@ -1,6 +1,7 @@
 """Pictures of frames: what was seen, what came, what was predicted; films as GIF or MP4."""
 
 import os
+import subprocess
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from itertools import zip_longest
@@ -82,14 +83,12 @@ def check_film(path: Path) -> None:
 def _write_mp4(path: Path, pictures: Sequence[np.ndarray], rate: float) -> None:
     import imageio_ffmpeg  # noqa: PLC0415  (an extra that most people do without)
 
-    height, width = (side + side % 2 for side in pictures[0].shape[:2])  # as its coding asks
-    size, how = (width, height), {"macro_block_size": 2, "ffmpeg_log_level": "error"}
-    writer = imageio_ffmpeg.write_frames(str(path), size, fps=rate, quality=8, **how)
-    writer.send(None)
-    for picture in pictures:
-        edges = (0, height - picture.shape[0]), (0, width - picture.shape[1]), (0, 0)
-        writer.send(np.pad(picture, edges, constant_values=255))
-    writer.close()
+    height, width, _ = pictures[0].shape
+    given = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -"
+    even = "-pix_fmt yuv420p -vf pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white"
+    words = [imageio_ffmpeg.get_ffmpeg_exe(), *f"-y -loglevel error {given} {even}".split(), path]
+    # Not by its own writer, which forks a process in whose threads JAX may be at work.
+    subprocess.run(words, input=b"".join(picture.tobytes() for picture in pictures), check=True)
 
 
 def _in_rows(parts: Sequence[np.ndarray], together: int) -> np.ndarray:
