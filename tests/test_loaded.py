@@ -121,21 +121,23 @@ def test_evaluate_prints_it(folder, capsys):
         assert said in capsys.readouterr().err
 
 
-def test_films_of_what_is_kept(tmp_path, capsys):
+def test_films_of_what_is_kept(tmp_path, capsys, monkeypatch):
     """CartPole's dreams are drawn as the cart that they speak of."""
-    path = tmp_path / "a.gif"
+    path, made = tmp_path / "a.gif", frames.film
+    filmed = []
+    monkeypatch.setattr(frames, "film", lambda *of: (filmed.append(of), made(*of)))
     assert evaluate.main([str(TODAY), "--film", str(path)]) == 0
-    left = jaxdyna.load(TODAY)
-    steps = [
-        len(scene.played(run.policy, left.options.seed, 200)) - 1
-        for run, scene in left.scenes().values()
-    ]
+    [(_, columns, together)] = filmed
+    assert [*columns] == ["dyna: true", "dyna: dreamed", "model_free: true"] and together == 2
+    first, last = columns["dyna: true"][0], columns["dyna: true"][-1]
+    assert first[0].shape == (200, 300, 3) and first[1] == "step 0, return 0"
+    assert last[1] == f"step {len(columns['dyna: true']) - 1}, return {last[1].split()[3]} over"
+    np.testing.assert_array_equal(first[0], columns["dyna: dreamed"][0][0])
+    np.testing.assert_array_equal(first[0], columns["model_free: true"][0][0])
+    moved = columns["dyna: dreamed"][5][0]
+    assert (moved != first[0]).any() and (moved != columns["dyna: true"][5][0]).any()
     with Image.open(path) as film:
-        assert film.n_frames == 1 + max(steps) and film.width <= frames.PAGE
-    (run, both), (_, alone) = left.scenes().values()
-    assert [*alone.sides] == ["true"] and [*both.sides] == ["true", "dreamed"]
-    true, dreamed = both.played(run.policy, 0, 1)[1].values()
-    assert true[0].shape == dreamed[0].shape == (200, 300, 3) and true[1].startswith("step 1, ret")
+        assert film.n_frames == max(map(len, columns.values())) and film.width == 2 * 300 + 12
     for argv, said in (
         (["--film", "a.avi"], "let it end in .gif or .mp4"),
         (["--film", str(tmp_path / "no" / "a.gif")], "cannot write"),
