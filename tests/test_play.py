@@ -1,6 +1,7 @@
 """A world under the keyboard: through a pseudo-terminal, whose screen is read as a person would."""
 
 import fcntl
+import io
 import os
 import pty
 import re
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from jaxdyna import play
 from jaxdyna.envs import CartPole, Catch, FrameStack, Maze, Pong
@@ -182,6 +184,22 @@ def test_the_terminal_is_as_before_whatever_ends_it(end, terminal, monkeypatch):
     with at(terminal), pytest.raises(kind):
         play.main(["catch"])
     assert terminal.restored() and signal.getsignal(signal.SIGTERM) is handler
+
+
+@pytest.mark.parametrize(
+    ("size", "shown"), [((6, 2), (4, 6)), ((13, 9), (8, 12)), ((3, 9), (2, 3))]
+)
+def test_a_picture_is_as_large_as_fits(size, shown):
+    frame = np.random.default_rng(0).integers(0, 256, (4, 6, 3), np.uint8)
+    console = Console(file=io.StringIO(), color_system="truecolor", force_terminal=True, width=80)
+    console.print(play.picture(frame, *size))
+    seen, times = pixels(console.file.getvalue()), shown[0] // 4
+    assert seen.shape == (*shown, 3)
+    if times:
+        np.testing.assert_array_equal(seen, frame.repeat(times, 0).repeat(times, 1))
+    else:
+        means = frame.reshape(2, 2, 3, 2, 3).mean((1, 3))
+        np.testing.assert_allclose(seen, means, atol=1)
 
 
 def test_keys():
