@@ -45,7 +45,7 @@ class Side:
 
     def shot(self) -> Shot:
         """As it is now."""
-        said = f"step {self.steps}, return {self.earned:.4g}{', over' * self.over}"
+        said = f"step {self.steps}, return {round(self.earned, 1):g}{', over' * self.over}"
         if self.obs.ndim != 3:
             return self.host.render(), said
         newest = self.obs[..., -self.channels :]
@@ -58,11 +58,11 @@ class Scene:
     """
 
     def __init__(self, env: Environment, params: Any, dream: Any = None, dream_params: Any = None):
-        count = getattr(env, "num_frames", 1)
-        self.sides = {"true": Side(env, params, count)}
+        self.num_frames = getattr(env, "num_frames", 1)
+        self.sides = {"true": Side(env, params, self.num_frames)}
         if hasattr(dream, "state_of"):
             with suppress(CannotRenderError):
-                self.sides["dreamed"] = Side(dream, dream_params, count)
+                self.sides["dreamed"] = Side(dream, dream_params, self.num_frames)
 
     def begin(self, seed: int) -> None:
         """An episode: the same for the same seed."""
@@ -85,12 +85,15 @@ class Scene:
 
     def played(self, act: Callable[..., Any], seed: int, steps: int) -> list[dict[str, Shot]]:
         """The shots of an episode, of so many steps at the most, in which ``(obs, key) -> action``
-        sees the true world.
+        sees the true world. The dream begins once a stack of frames is full: an episode's first one
+        is a frame repeated, of which nobody can tell what moves where.
         """
         self.begin(seed)
         key, shots = jax.random.key(seed), [self.shots()]
         while not self.sides["true"].over and len(shots) <= steps:
             key, key_act = jax.random.split(key)
             self.step(np.asarray(act(self.sides["true"].obs, key_act)))
+            if len(shots) < self.num_frames:
+                self.dream()
             shots.append(self.shots())
         return shots

@@ -236,6 +236,13 @@ def test_a_dream_shows_what_the_real_environment_would():
     assert len(gymnasium.make_vec(DREAM, num_envs=2, render_mode="rgb_array").metadata) == 3
 
 
+def test_a_dream_of_several_vectors_shows_the_newest():
+    world = LearnedEnvironment(FrameStack(ENV, 2), lambda *inputs: None, lambda key, start: start)
+    seen = jnp.float32([0.3, 0, 0.2, 0, -0.5, 0, 0.1, 0])
+    newest = ENV.render(ENV.state_of(seen[4:]), ENV.default_params)
+    np.testing.assert_array_equal(world.render(world.state_of(seen), None), newest)
+
+
 def test_a_dream_of_frames_shows_its_newest():
     stack = FrameStack(Maze(size=4, num_obstacles=1))
     world = LearnedEnvironment(stack, lambda *inputs: None, lambda key, start: start)

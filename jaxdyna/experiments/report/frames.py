@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from jaxdyna.experiments.report.plots import WIDTH, save, subplots
 
-SCALE, WIDEST, CAPTION_WIDTH = 16, 320, 190
+SCALE, WIDEST, CAPTION_WIDTH = 16, 320, 240
 #: pixels across of a page, which a film is not wider than, and between two columns
 PAGE, GAP = 830, 12
 LETTERS = 15  #: of a caption: pixels, and as many where a page shows it
