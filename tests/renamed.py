@@ -103,6 +103,7 @@ REMADE = {
 ARRAYS: dict[str, str | None] = {
     "oracle_return": "optimal_return",
     "judged_error": None,  # in results.json, out of the curve that it is a mean of
+    **dict.fromkeys(("film_action", "film_obstacles", "film_directions")),  # of the Maze's films
 }
 """In ``curves.npz``; None: no longer kept."""
 

@@ -19,7 +19,7 @@ def arrays():
         "dyna (paper preset)": {
             "real_return": np.arange(2.0 * EPISODES).reshape(2, EPISODES),
             "agent_loss": loss,
-            "film_action": films,
+            "film_move": films,
             "judged_error": np.array([0.5, 0.25]),
             "greedy_return": generator.normal(size=(2, 4)),
             "cost_rate": np.array(1.0),
@@ -31,7 +31,7 @@ def arrays():
 def todays_arrays():
     old = arrays()
     arm = old.pop("dyna (paper preset)")
-    arm["show_action"] = arm.pop("film_action")[0].astype(float)
+    arm["show_move"] = arm.pop("film_move")[0].astype(float)
     arm["greedy_return"] = arm["greedy_return"] + 1
     del arm["cost_rate"], arm["judged_error"]
     old["paper@30"]["show_seen"] = old["paper@30"].pop("seen")
@@ -70,7 +70,7 @@ def test_the_first_entry_that_differs_is_named(both):
     arm = new["dyna (tuned preset)"]
     arm["agent_loss"][1, 4] += 1e-6
     arm["agent_loss"][0, 5] += 1
-    arm["show_action"][5, 1] += 1
+    arm["show_move"][5, 1] += 1
     verdict = compare(old, new)
     assert (verdict.equal, verdict.total) == (2, 4)
     assert verdict.first.startswith("dyna (tuned preset)/agent_loss, run 1, episode 5: ")
@@ -108,7 +108,7 @@ def test_runs_are_compared_up_to_their_own_ends(both):
     for name in ("real_return", "agent_loss"):
         arm[name] = arm[name][:, :5]
         arm[name][1, 3:] = np.nan
-    arm["show_action"] = arm["show_action"][:5]
+    arm["show_move"] = arm["show_move"][:5]
     verdict = compare(old, new)
     assert verdict.first == ""
     assert "8 of 12 episodes, up to the runs' own ends" in verdict.notes
