@@ -45,7 +45,7 @@ def play(out, *arguments):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A copy of what a run left, elsewhere."""
-    out = play(tmp_path_factory.mktemp("played") / "out")
+    out = play(tmp_path_factory.mktemp("played") / "out", "--film")
     return shutil.move(out, tmp_path_factory.mktemp("copied") / "cartpole-tuned")
 
 
@@ -119,6 +119,13 @@ def test_evaluate_prints_it(folder, capsys):
         with pytest.raises(SystemExit):
             evaluate.main(argv)
         assert said in capsys.readouterr().err
+
+
+def test_a_report_shows_its_film(folder):
+    with Image.open(folder / "film.gif") as film:
+        assert film.n_frames > 5 and film.height > 2 * 200  # dyna above, and dreaming
+    assert "(film.gif)" in (folder / "report.md").read_text()
+    assert "data:image/gif;base64" in (folder / "report.html").read_text()
 
 
 def test_films_of_what_is_kept(tmp_path, capsys, monkeypatch):
@@ -225,9 +232,10 @@ def test_an_experiment_of_ones_own_is_found_by_its_module(copy):
     assert jaxdyna.load(copy, POLE).kept["dyna"] == [0, 1]
 
 
-def test_nothing_is_kept_where_nothing_is_asked_for(tmp_path):
-    out = play(tmp_path / "none", "--arms", "model_free", "--keep-runs", "0")
+def test_nothing_is_kept_where_nothing_is_asked_for(tmp_path, capsys):
+    out = play(tmp_path / "none", "--arms", "model_free", "--keep-runs", "0", "--film")
     assert not (out / "kept").exists() and jaxdyna.load(out).kept == {}
+    assert "There is no film" in capsys.readouterr().out and not (out / "film.gif").exists()
     play(out, "--arms", "model_free", "--keep-runs", "1")
     assert [path.name for path in out.glob("kept/*/*")] == ["0.npz"]
     play(out, "--arms", "model_free", "--keep-runs", "0")  # an earlier result goes whole

@@ -22,7 +22,7 @@ O = TypeVar("O")  # noqa: E741
 NOT_SWEPT = (
     "seeds", "seed", "arms", "out", "episodes", "stop_after_solved", "block", "preset", "quick",
     "part", "resume", "fresh", "shard", "sweep", "from", "cache", "distributed",
-    "keep_runs")  # fmt: skip
+    "keep_runs", "film")  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +49,7 @@ class Call:
     keep_runs: int = setting(
         10, "runs of each arm, the first ones, whose policy and model are kept for jaxdyna.load; "
         "0: none", at_least=0)  # fmt: skip
+    film: bool = setting(False, "shows in the report an episode of what each arm has learned")
     shard: str | None = setting(
         None, "I/N: the I-th of N equal parts of the runs; `merge` puts them together"
     )

@@ -81,18 +81,20 @@ class Loaded:
         keeper, kept, key, hparams = self._run(arm, seed)
         return np.asarray(keeper.play(kept, key, hparams, episodes), np.float64)
 
-    def film(self, path: str | Path, arms: Sequence[str] = (), seed: int | None = None) -> None:
+    def film(
+        self, path: str | Path | None = None, arms: Sequence[str] = (), seed: int | None = None
+    ) -> None:
         """Films an episode of kept policies, the first `FILMED` steps, from the same start for all
         arms, and beside each a dream that begins where it does and takes the same actions, see
         `jaxdyna.watched.Scene`. `ValueError` as `trained`, and where a world cannot be watched.
 
         Args:
-            path: of a GIF, or with the ``film`` extra an MP4.
+            path: of a GIF, or with the ``film`` extra an MP4; by default of the report's.
             arms: by default all that keep any.
             seed: of the run, by default the first that is kept of each arm.
         """
         columns: dict[str, list[Shot]] = {}
-        frames.check_film(path := Path(path))
+        frames.check_film(path := Path(path or self.folder / frames.FILM))
         scenes = self.scenes(arms, seed)
         for arm, (run, scene) in scenes.items():
             shots = scene.played(run.policy, self.options.seed, min(FILMED, run.num_steps))

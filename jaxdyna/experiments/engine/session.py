@@ -28,6 +28,7 @@ from jaxdyna.experiments.engine import cli, folders, programs, storage, trained,
 from jaxdyna.experiments.engine.checkpoint import Store, checkpoints_below
 from jaxdyna.experiments.engine.distributed import Processes, taken
 from jaxdyna.experiments.engine.experiment import Entry, Experiment, Record, Study, chosen, entries
+from jaxdyna.experiments.engine.loaded import load
 from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.record import (
     different,
@@ -123,7 +124,7 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
         out = out / "parts" / f"{number}-of-{of}"
     return Session(
         experiment, options, every, call.out or out, command, call.resume, call.fresh, call.shards,
-        sweep, family=parts[0].name, cache=call.cache, keep=call.keep_runs,
+        sweep, family=parts[0].name, cache=call.cache, keep=call.keep_runs, film=call.film,
         part=part)  # fmt: skip
 
 
@@ -168,6 +169,7 @@ class Session:
     cache: bool = True  #: whether compiled programs are kept for later
     processes: Processes = field(default_factory=Processes)  #: that share the work
     keep: int = 0  #: of how many runs of each arm it is kept what they have learned
+    film: bool = False  #: whether that is filmed
     part: Experiment | Study | None = None  #: what ``main`` was given
     console: Console = field(
         default_factory=lambda: Console(highlight=False, width=None if sys.stdout.isatty() else 100)
@@ -443,6 +445,11 @@ class Session:
 
     def _report(self) -> None:
         self._write()
+        if self.film and "unfinished" not in self.results:
+            try:
+                load(self.out, *([self.part] if self.part else [])).film()
+            except ValueError as error:
+                self.console.print(f"There is no film: {error}")
         record = Record(self.options, self.results, self.curves, self.out)
         text = write_report(self.experiment, record)
         self.console.print(Markdown(text.partition("\n![")[0]))

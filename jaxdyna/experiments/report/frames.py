@@ -16,6 +16,7 @@ from jaxdyna.experiments.report.plots import WIDTH, save, subplots
 SCALE, WIDEST, CAPTION_WIDTH = 16, 320, 240
 #: pixels across of a page, which a film is not wider than, and between two columns
 PAGE, GAP = 830, 12
+FILM = "film.gif"  #: in a report, of what its runs have learned
 LETTERS = 15  #: of a caption: pixels, and as many where a page shows it
 #: between two frames, at the most and at the least, and what a film lasts where that allows it
 PAUSE_MS, QUICKEST_MS, FILM_MS = 160, 40, 12_000

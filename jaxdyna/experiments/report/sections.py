@@ -10,7 +10,7 @@ from typing import Any, Concatenate, ParamSpec
 import numpy as np
 
 from jaxdyna import fields
-from jaxdyna.experiments.report import plots, tables
+from jaxdyna.experiments.report import frames, plots, tables
 from jaxdyna.experiments.report.summaries import HELD_EPISODES, break_even, comparison, comparisons
 from jaxdyna.experiments.report.tables import Results, markdown_table, paragraphs, runs
 from jaxdyna.statistics import FEW, episodes_to_solve, mean_of_runs, summarise
@@ -377,6 +377,7 @@ def kept_policies(record: Any) -> str:
         "`jaxdyna.load` opens them, `python -m jaxdyna.experiments.evaluate` plays them again, and "
         "films them (`--film`).",
         markdown_table(["arm", "mean (95% interval)", "each run's"], rows),
+        f"![an episode of each arm]({frames.FILM})" if (record.out / frames.FILM).is_file() else "",
     )
 
 
