@@ -267,5 +267,5 @@ def test_a_world_is_watched_as_it_draws_itself():
     obs = scene.sides["true"].obs
     assert obs.dtype == np.float32 and obs[1] == length
     blind = from_gymnasium(Script, 3)
-    with pytest.raises(ValueError, match="it draws nothing"):
+    with pytest.raises(ValueError, match="the world draws nothing"):
         Scene(blind, blind.default_params)

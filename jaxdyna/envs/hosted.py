@@ -125,7 +125,7 @@ class Hosted(Discrete):
             env.reset(seed=0)
             env.render()
         except (gymnasium.error.Error, NotImplementedError, TypeError) as error:
-            raise ValueError(f"it draws nothing: {error}") from error
+            raise ValueError(f"the world draws nothing: {error}") from error
         first = self.host.first
         env = TransformAction(env, lambda action: int(first.actions.start + action),
                               spaces.Discrete(self.num_actions))  # fmt: skip

@@ -449,7 +449,7 @@ class Session:
             try:
                 load(self.out, *([self.part] if self.part else [])).film()
             except ValueError as error:
-                self.console.print(f"There is no film: {error}")
+                self.console.print(f"There is no film: {error}", markup=False)
         record = Record(self.options, self.results, self.curves, self.out)
         text = write_report(self.experiment, record)
         self.console.print(Markdown(text.partition("\n![")[0]))
