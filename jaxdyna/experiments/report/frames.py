@@ -2,9 +2,9 @@
 
 import os
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
-from itertools import zip_longest
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -52,22 +52,21 @@ def film(
     uint8 ``[H, W, 3]`` and what is said of each; one that ends sooner than others stands still. The
     name of the file (`check_film`) says whether it is a GIF, which repeats, or an MP4.
     """
-    pictures = []
-    for shots in zip_longest(*columns.values()):
-        now = [one or column[-1] for one, column in zip(shots, columns.values(), strict=True)]
-        pictures.append(_in_rows([
+    count = max(map(len, columns.values()))
+    pause = min(PAUSE_MS, max(QUICKEST_MS, FILM_MS // count // 10 * 10))
+    pictures = (
+        _in_rows([
             _captioned(frame, f"{name}\n{said}")
-            for name, (frame, said) in zip(columns, now, strict=True)
-        ], together))  # fmt: skip
-    pause = min(PAUSE_MS, max(QUICKEST_MS, FILM_MS // len(pictures) // 10 * 10))
+            for name, shots in columns.items() for frame, said in [shots[min(at, len(shots) - 1)]]
+        ], together)
+        for at in range(count)
+    )  # fmt: skip
     if path.suffix == ".mp4":
         _write_mp4(path, pictures, 1000 / pause)
         return
     # By coverage of the colours: the median cut gives a small thing the colour of a large one.
-    first, *rest = (
-        Image.fromarray(picture).quantize(64, Image.Quantize.MAXCOVERAGE) for picture in pictures
-    )
-    first.save(path, save_all=True, append_images=rest, duration=pause, loop=0, optimize=True)
+    few = (Image.fromarray(one).quantize(64, Image.Quantize.MAXCOVERAGE) for one in pictures)
+    next(few).save(path, save_all=True, append_images=few, duration=pause, loop=0, optimize=True)
 
 
 def check_film(path: Path) -> None:
@@ -81,15 +80,18 @@ def check_film(path: Path) -> None:
         raise ValueError(f"films as MP4 need imageio-ffmpeg: {said}")
 
 
-def _write_mp4(path: Path, pictures: Sequence[np.ndarray], rate: float) -> None:
+def _write_mp4(path: Path, pictures: Iterator[np.ndarray], rate: float) -> None:
     import imageio_ffmpeg  # noqa: PLC0415  (an extra that most people do without)
 
-    height, width, _ = pictures[0].shape
+    first = next(pictures)
+    height, width, _ = first.shape
     given = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -"
     even = "-pix_fmt yuv420p -vf pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white"
     words = [imageio_ffmpeg.get_ffmpeg_exe(), *f"-y -loglevel error {given} {even}".split(), path]
     # Not by its own writer, which forks a process in whose threads JAX may be at work.
-    subprocess.run(words, input=b"".join(picture.tobytes() for picture in pictures), check=True)
+    with subprocess.Popen(words, stdin=subprocess.PIPE) as ffmpeg:
+        for picture in chain([first], pictures):
+            ffmpeg.stdin.write(picture.tobytes())  # type: ignore[union-attr]
 
 
 def _in_rows(parts: Sequence[np.ndarray], together: int) -> np.ndarray:
