@@ -36,16 +36,15 @@ PROG = "python -m jaxdyna.play"
 TYPED = re.compile(rb"\x1b[\[O][\d;]*(.)|([^\x1b])")
 ARROWS = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
 LETTERS = {b" ": "space", b"\x04": "q"}
+WORLDS = f"maze, cartpole, pong, catch, {FORMS}"
 GAP, LINES = 2, 4  #: columns between two pictures, and lines of text
 
 
 @dataclass(frozen=True)
 class Call:
-    """Steers a world with the keyboard, a step a key; with --run that of a run, and beside it the
-    dream, which takes the same actions.
-    """
+    """Steers a world with the keyboard, or a run's, and beside it the dream that it has learned."""
 
-    world: tyro.conf.Positional[str | None] = setting(None, f"maze, cartpole, pong, catch, {FORMS}")
+    world: tyro.conf.Positional[str | None] = setting(None, "which")
     run: Path | None = setting(None, "the folder of a run that keeps what it has learned")
     arm: str | None = setting(None, "whose dream; the first that has one")
     seed: int | None = setting(None, "of the run; the first that is kept")
@@ -54,7 +53,7 @@ class Call:
 def main(argv: Sequence[str] | None = None) -> int:
     """Plays, by the arguments or the process's, and returns the exit code: see `cli.command`."""
     words = sys.argv[1:] if argv is None else argv
-    usage = f"WORLD | --run DIR [--arm ARM] [--seed N]\n\n{Call.__doc__}"
+    usage = f"WORLD | --run DIR [--arm ARM] [--seed N]\n\n{Call.__doc__}\nWorlds: {WORLDS}"
     return cli.command(Call, usage, PROG, words or ["--help"], play)
 
 

@@ -21,9 +21,7 @@ PROG = "python -m jaxdyna.experiments.evaluate"
 
 @dataclass(frozen=True)
 class Call:
-    """Plays the policies that a run has kept in new episodes, and says what they earn; or films one
-    of each arm, a .gif or .mp4, and beside it a dream that takes the same actions.
-    """
+    """Plays a run's kept policies in new episodes and says what they earn, or films one an arm."""
 
     folder: tyro.conf.Positional[Path] = setting(help="of the run")
     episodes: int = setting(EPISODES, "that each plays", at_least=1)
