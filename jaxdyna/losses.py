@@ -8,6 +8,11 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from jaxdyna.actions import categorical
+
+LogProb = Callable[[jax.Array, jax.Array], jax.Array]
+"""``(outputs [T, ...], action [T, ...]) -> [T]``: log probabilities by a policy's outputs."""
+
 
 def discounted_returns(reward: jax.Array, discount: jax.Array | float) -> jax.Array:
     """The return ``[T]`` from every step on: ``G_t = r_t + discount * G_{t+1}``. Nothing is
@@ -43,27 +48,27 @@ def standardise(values: jax.Array, mask: jax.Array) -> jax.Array:
 
 
 def policy_gradient(
-    logits: jax.Array, action: jax.Array, advantage: jax.Array, weight: jax.Array
-) -> jax.Array:
+    logits: jax.Array, action: jax.Array, advantage: jax.Array, weight: jax.Array,
+    log_prob: LogProb = categorical,
+) -> jax.Array:  # fmt: skip
     """REINFORCE's surrogate loss ``-sum_t weight_t * advantage_t * log pi(a_t | s_t)``, a scalar
     (Williams 1992).
 
     Args:
-        logits: ``[T, actions]``.
-        action: int ``[T]``.
+        logits: a policy's outputs ``[T, outputs]``.
+        action: ``[T, ...]``.
         advantage: ``[T]``, treated as a constant.
         weight: ``[T]``, 0 on padding.
+        log_prob: of actions by the outputs, which are log odds by default.
     """
-    chex.assert_rank([logits, action, advantage, weight], [2, 1, 1, 1])
-    chex.assert_type(action, int)
+    chex.assert_rank([logits, advantage, weight], [2, 1, 1])
     chex.assert_equal_shape_prefix([logits, action, advantage, weight], 1)
-    log_prob = jnp.take_along_axis(jax.nn.log_softmax(logits), action[:, None], axis=-1)[:, 0]
-    return -(weight * jax.lax.stop_gradient(advantage) * log_prob).sum()
+    return -(weight * jax.lax.stop_gradient(advantage) * log_prob(logits, action)).sum()
 
 
 def clipped_policy_gradient(
     logits: jax.Array, action: jax.Array, advantage: jax.Array, weight: jax.Array,
-    before: jax.Array, clip: float = 0.2,
+    before: jax.Array, clip: float = 0.2, log_prob: LogProb = categorical,
 ) -> jax.Array:  # fmt: skip
     """PPO's surrogate loss ``-sum_t weight_t * min(r_t A_t, clip(r_t, 1 - clip, 1 + clip) A_t)``, a
     scalar (Schulman et al. 2017, Eq. 7), with the ratio
@@ -71,14 +76,12 @@ def clipped_policy_gradient(
     that policy its gradient is that of `policy_gradient`, which says what the other arguments are.
 
     Args:
-        before: the earlier policy's logits, ``[T, actions]``, a constant.
+        before: the earlier policy's outputs, ``[T, outputs]``, a constant.
         clip: how far the ratio may go from 1 before it earns nothing more.
     """
-    chex.assert_rank([logits, action, advantage, weight, before], [2, 1, 1, 1, 2])
-    chex.assert_type(action, int)
+    chex.assert_rank([logits, advantage, weight], [2, 1, 1])
     chex.assert_equal_shape([logits, before])
-    logs = [jax.nn.log_softmax(one) for one in (logits, jax.lax.stop_gradient(before))]
-    new, old = (jnp.take_along_axis(log, action[:, None], axis=-1)[:, 0] for log in logs)
+    new, old = (log_prob(one, action) for one in (logits, jax.lax.stop_gradient(before)))
     ratio, advantage = jnp.exp(new - old), jax.lax.stop_gradient(advantage)
     least = jnp.minimum(ratio * advantage, jnp.clip(ratio, 1 - clip, 1 + clip) * advantage)
     return -(weight * least).sum()

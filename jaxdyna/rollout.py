@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.actions import Discrete, actions_of
 from jaxdyna.fields import check_counts, check_kind
 from jaxdyna.trees import where
 from jaxdyna.types import Environment, Key, Transition, check_key, check_part, check_transitions
@@ -39,11 +40,13 @@ def rollout(
         With ``record`` a pair, the other being what was recorded, leaves ``[N, T, ...]``.
 
     Raises:
-        AssertionError: where actions are no integers.
+        AssertionError: where numbered actions are no integers.
         ValueError: where an argument cannot be, T is left open under a traced ``max_steps``, an
-            action or a step's reward is no scalar, or, untraced, an action is out of range.
+            action has another shape than the world's, a step's reward is no scalar, or, untraced,
+            a numbered action is out of range.
     """
-    check_part("env", env, "reset", "step", "default_params", "num_actions")
+    check_part("env", env, "reset", "step", "default_params")
+    space = actions_of(env)
     check_part("act", act, "__call__")
     check_key(key)
     check_kind("env_params", env_params, type(env.default_params))
@@ -55,8 +58,9 @@ def rollout(
         obs, state, alive, key = carry
         key, key_act, key_step = jax.random.split(key, 3)
         action = act(obs, key_act, state) if sees_state else act(obs, key_act)
-        if jnp.shape(action):
-            raise ValueError(f"act returns an array {jnp.shape(action)}: make it a scalar")
+        if jnp.shape(action) != space.shape:
+            wanted = f"one {space.shape}" if space.shape else "a scalar"
+            raise ValueError(f"act returns an array {jnp.shape(action)}: make it {wanted}")
         played = env.step(key_step, state, action, env_params)
         _check_step(env, obs, state, played)
         next_obs, next_state, reward, terminated, truncated, info = played
@@ -86,8 +90,8 @@ def rollout(
 
     played, recorded = jax.vmap(episode)(jax.random.split(key, num_episodes))
     check_transitions(played, 2)
-    if not isinstance(played.action, jax.core.Tracer):
-        least, most, count = played.action.min(), played.action.max(), env.num_actions
+    if isinstance(space, Discrete) and not isinstance(played.action, jax.core.Tracer):
+        least, most, count = played.action.min(), played.action.max(), space.n
         if least < 0 or most >= count:
             raise ValueError(f"actions are {least} to {most}: keep them within 0 to {count - 1}")
     return (played, recorded) if record else played

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxdyna.actions import Actions, Box, Discrete, actions_in, actions_of, as_actions
 from jaxdyna.planners import Guide, Planner
 from jaxdyna.trees import difference, is_key, named_leaves, stack
 from jaxdyna.types import Agent, DynamicsModel, Environment, Transition, check_part
@@ -34,21 +35,21 @@ def check_environment(env: Environment, params: Any = None, random: bool | None 
     """Plays a few episodes of random actions; ``params`` are by default ``env.default_params``.
     ``random`` demands that the key matters; without it nothing need be random.
     """
-    check_part("env", env, "reset", "step", "default_params", "num_actions")
+    check_part("env", env, "reset", "step", "default_params", "action_space")
     name = type(env).__name__
     try:
         hash(env)
     except TypeError as error:
         raise ContractError(f"{name} is not hashable: make it a frozen dataclass") from error
     params = env.default_params if params is None else params
-    space, count = env.observation_space(params), env.num_actions
-    agree = env.action_space(params).n == count
+    space, choices = env.observation_space(params), actions_of(env)
+    agree = actions_in(env.action_space(params)) == choices
     _demand(agree, f"{name}'s num_actions and action_space differ: make the two agree")
     _demand(hasattr(params, "max_steps"), f"{name}'s params have no max_steps: add that field")
     reset = _Pure(f"{name}.reset", env.reset, (0, None))
     step = _Pure(f"{name}.step", env.step, (0, 0, 0, None))
     starts = reset.check([(key, params) for key in _keys(0)], "obs, state")
-    actions = np.random.default_rng(0).integers(0, count, (STEPS, ROWS), np.int32)
+    actions = _actions(choices)
     columns = zip(_keys(1), starts, actions[0], strict=True)
     calls = [(key, start[1], action, params) for key, start, action in columns]
     steps = step.check(calls, "obs, state, reward, terminated, truncated, info")
@@ -61,6 +62,11 @@ def check_environment(env: Environment, params: Any = None, random: bool | None 
     for number, (what, kind) in zip(numbers, kinds, strict=True):
         _scalars(f"{step.name}'s {what}", [number], kind)
     step(_keys(2)[0], next_state, actions[0, 0], params)
+    if isinstance(choices, Box):
+        low = np.array(choices.low, np.float32)
+        far, near = (step(_keys(2)[0], state, action, params) for action in (low - 9, low))
+        wrong = f"{step.name} takes an action beyond its action_space for another: clip it"
+        _same(far, near, wrong, 1e-6)
     ended, _ = _play(reset, step, space, params, actions)
     if ended:  # the step that terminates is now the last one too
         change = getattr(params, "replace", None) or params._replace
@@ -71,7 +77,9 @@ def check_environment(env: Environment, params: Any = None, random: bool | None 
         _demand(differ, f"the seed changes nothing in {name}: draw from the key of reset or step")
 
 
-def check_agent(agent: Agent, hparams: Any, transitions: Transition, num_actions: int) -> None:
+def check_agent(
+    agent: Agent, hparams: Any, transitions: Transition, num_actions: int | Actions
+) -> None:
     """Acts on a few observations and learns from a few whole episodes ``[N, T]``, T at least 2."""
     check_part("agent", agent, "init", "act", "update")
     _demand(np.ndim(transitions.mask) == 2, EPISODES)
@@ -81,7 +89,7 @@ def check_agent(agent: Agent, hparams: Any, transitions: Transition, num_actions
         if act := getattr(agent, name):
             calls = [(state, *row, hparams) for row in zip(obs, _keys(1), strict=False)]
             actions = _Pure(name, act, (None, 0, 0, None)).check(calls)
-            _scalars(f"{name}'s action", actions, np.integer, 0, num_actions - 1)
+            _allowed(f"{name}'s action", actions, as_actions(num_actions))
     for name in ("update", "update_fake", "update_expert"):
         if update := getattr(agent, name):
             _check_update(name, update, state, hparams, transitions, PADDING)
@@ -110,7 +118,8 @@ def check_planner(planner: Planner, env: Environment, params: Any, prior: bool =
     ``prior`` says whether ``guide.prior`` has to count, as where it starts from a policy.
     """
     check_part("planner", planner, "__call__")
-    name, reset, zeros = "the planner", jax.jit(env.reset), np.zeros(env.num_actions, np.float32)
+    name, reset, kind = "the planner", jax.jit(env.reset), actions_of(env)
+    zeros = np.zeros(kind.outputs[0], np.float32)
     starts = [(*reset(key, params), key) for key in _keys(0)]
 
     def plan(params: Any, obs: Any, state: Any, key: Any, odds: Any, value: Any) -> Any:
@@ -123,7 +132,7 @@ def check_planner(planner: Planner, env: Environment, params: Any, prior: bool =
     deciding = _Pure(name, plan, (None, 0, 0, 0, None, None))
     said = deciding.check(guided(zeros, 0), "action, value", small=False)
     action, value = zip(*said, strict=True)
-    _scalars(f"{name}'s action", action, np.integer, 0, len(zeros) - 1)
+    _allowed(f"{name}'s action", action, kind)
     _scalars(f"{name}'s value", value, np.floating)
     hoped = [deciding(*call)[1] for call in guided(zeros, 1000)]
     counts = any(map(np.not_equal, value, hoped))
@@ -269,6 +278,23 @@ def _far(one: tuple, other: tuple) -> bool:
 def _demand(holds: Any, message: str) -> None:
     if not holds:
         raise ContractError(message)
+
+
+def _actions(kind: Actions) -> np.ndarray:
+    """Any, ``[STEPS, ROWS, ...]``."""
+    generator = np.random.default_rng(0)
+    if isinstance(kind, Discrete):
+        return generator.integers(0, kind.n, (STEPS, ROWS), np.int32)
+    return generator.uniform(kind.low, kind.high, (STEPS, ROWS, *kind.shape)).astype(np.float32)
+
+
+def _allowed(name: str, actions: Any, kind: Actions) -> None:
+    """Demands actions of a kind: numbers in their range, or vectors, within bounds or not."""
+    if isinstance(kind, Discrete):
+        return _scalars(name, actions, np.integer, 0, kind.n - 1)
+    for action in actions:
+        _alike(name, action, np.zeros(kind.shape, kind.dtype), "the action_space")
+        _scalars(name, action, np.floating)
 
 
 def _keys(seed: int) -> list[jax.Array]:

@@ -45,7 +45,8 @@ class Transition(NamedTuple):
 
     Attributes:
         obs: what was seen before acting, ``[..., *obs]``.
-        action: what was done, ``[...]``.
+        action: what was done, int ``[...]``, or in a Box float ``[..., n]`` as it was chosen,
+            clipped to the bounds by the world alone.
         reward: what it earned, ``[...]``.
         next_obs: what was seen after, ``[..., *obs]``; never the first frame of a new episode.
         terminated: bool ``[...]``.
@@ -89,13 +90,13 @@ class Transition(NamedTuple):
 
 def check_transitions(transitions: Transition, rank: int | None = None) -> None:
     """Refuses, by an `AssertionError`, transitions whose arrays disagree about the leading axes,
-    which are those of the bool mask, and actions that are no integers. ``rank`` is how many axes
-    there have to be, 2 of episodes ``[N, T]``; None: any number.
+    which are those of the bool mask, and actions that are neither integers nor vectors of numbers.
+    ``rank`` is how many axes there have to be, 2 of episodes ``[N, T]``; None: any number.
     """
     mask, action = transitions.valid, transitions.action
     ends = [transitions.terminated, transitions.truncated]
     chex.assert_rank(mask, mask.ndim if rank is None else rank)
-    chex.assert_type(action, int)
+    chex.assert_type(action, float if action.ndim > mask.ndim else int)
     chex.assert_equal_shape([mask, transitions.reward, *ends])
     chex.assert_equal_shape_prefix([mask, action, transitions.obs, transitions.next_obs], mask.ndim)
 
@@ -103,17 +104,15 @@ def check_transitions(transitions: Transition, rank: int | None = None) -> None:
 class Environment(Protocol):
     """A pure environment: everything random comes from ``key``, everything that can be swept from
     ``params``, everything that decides a shape from the (hashable) object itself. It never resets
-    by itself. The argument order is gymnax's. One that people can watch also has
-    ``render(state, params)``, a uint8 frame ``[height, width, 3]``.
+    by itself. The argument order is gymnax's. Where actions are numbered it has ``num_actions``,
+    else they are a Box, whose bounds are the object's, not of its params, and an action beyond them
+    is taken as clipped to them. One that people can watch also has ``render(state, params)``, a
+    uint8 frame ``[height, width, 3]``.
     """
 
     @property
     def default_params(self) -> Any:
         """A pytree of what can be swept; it has a field ``max_steps``."""
-
-    @property
-    def num_actions(self) -> int:
-        """The number of discrete actions."""
 
     def reset(self, key: Key, params: Any) -> tuple[jax.Array, Any]:
         """Returns the first ``obs`` and ``state`` of an episode."""
@@ -146,8 +145,8 @@ class Agent(NamedTuple):
             None: as ``update``.
         update_expert: as ``update`` from real episodes that another acted in
             (`jaxdyna.dyna.Expert`), None: as ``update``.
-        num_actions: how many actions it chooses from, so that it is not put into a world of others;
-            None: not said.
+        num_actions: how many actions it chooses from, or which (`jaxdyna.actions`), so that it is
+            not put into a world of others; None: not said.
         hparams: the class of its hparams, or a tuple of those it takes; None: not said.
         act_greedy: as ``act`` without exploring, as it is evaluated; None: as ``act``.
     """
@@ -158,7 +157,7 @@ class Agent(NamedTuple):
     act_fake: Act | None = None
     update_fake: Update | None = None
     update_expert: Update | None = None
-    num_actions: int | None = None
+    num_actions: Any = None
     hparams: Any = None
     act_greedy: Act | None = None
 
@@ -226,5 +225,5 @@ class DynamicsModel(NamedTuple):
     init: Callable[[Key, Any], Any]
     predict: Callable[[Any, jax.Array, jax.Array, Key], Prediction]
     update: Update
-    num_actions: int | None = None
+    num_actions: Any = None
     hparams: Any = None

@@ -33,6 +33,11 @@ class Board(Catch):
     def observation_space(self, params):
         return gymnasium.spaces.Box(0, 1, (self.rows, self.columns))
 
+class Unbounded(Catch):
+    num_actions = property()
+    def action_space(self, params):
+        return gymnasium.spaces.Box(-float("inf"), float("inf"), (1,))
+
 class Endless(Catch):
     default_params = ()
 """
@@ -65,7 +70,7 @@ def test_worlds_have_names(module):
     ("CartPole-v1", "is no world: give gymnasium:ID"),
     ("no_such_module:Maze", "there is no module no_such_module"),
     ("gymnasium:CartPol-v1", "Did you mean: `CartPole`"),
-    ("gymnasium:Pendulum-v1", "Box(-2.0, 2.0, (1,), float32), not Discrete"),
+    ("worlds_of_mine:Unbounded", "actions are Box(-inf, inf, (1,), float32): give Discrete ones"),
     ("gymnasium:FrozenLake-v1", "FlattenObservation"),
     ("worlds_of_mine:Board", "Board is seen as Box(0.0, 1.0, (10, 5)"),
     ("worlds_of_mine:number", "makes a int, no environment"),
@@ -95,6 +100,8 @@ def test_help_with_and_without_a_world(capsys):
     ("jaxdyna:CartPole", "reinforce", ReinforceConfig, SupervisedConfig, True),
     ("jaxdyna:Maze(size=6)", "dqn", DQNConfig, PixelConfig, True),
     ("gymnasium:Acrobot-v1", "dqn", DQNConfig, SupervisedConfig, False),
+    ("jaxdyna:Pendulum", None, ReinforceConfig, SupervisedConfig, True),
+    ("gymnasium:Pendulum-v1", None, ReinforceConfig, SupervisedConfig, False),
 ])  # fmt: skip
 def test_spaces_choose(said, learner, agent, model, oracle):
     options = any_world.defaults(said, learner)
@@ -109,6 +116,13 @@ def test_frames_have_no_reinforce(capsys):
     with pytest.raises(SystemExit, match="2"):
         any_world.main(["--env", "jaxdyna:Maze", "--agent", "reinforce"])
     assert "--agent reinforce sees vectors" in capsys.readouterr().err
+
+
+def test_a_box_has_no_dqn(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        any_world.main(["--env", "jaxdyna:Pendulum", "--agent", "dqn"])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--agent dqn takes numbered actions, not a Box" in line
 
 
 def test_worlds_say_when_they_are_solved():

@@ -14,13 +14,14 @@ PACKAGE = Path(__file__).parent.parent / "jaxdyna"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = {
     **dict.fromkeys(["fields", "types", "trees"], 0),
-    **dict.fromkeys(["optimizers", "networks", "losses", "envs", "replay"], 1),
-    **dict.fromkeys(["rollout", "watched"], 2),
-    **dict.fromkeys(["agents", "models", "planners"], 3),
-    **dict.fromkeys(["dyna", "testing"], 4),
-    **dict.fromkeys(["sweep", "statistics"], 5),
-    "experiments": 6,
-    "play": 7,
+    "actions": 1,
+    **dict.fromkeys(["optimizers", "networks", "losses", "envs", "replay"], 2),
+    **dict.fromkeys(["rollout", "watched"], 3),
+    **dict.fromkeys(["agents", "models", "planners"], 4),
+    **dict.fromkeys(["dyna", "testing"], 5),
+    **dict.fromkeys(["sweep", "statistics"], 6),
+    "experiments": 7,
+    "play": 8,
 }
 EXPERIMENTS = PACKAGE / "experiments"
 ROOMS = sorted(EXPERIMENTS.rglob("*.py"))

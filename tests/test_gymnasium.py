@@ -30,6 +30,7 @@ DREAM = "jaxdyna-test/Learned-v0"
 NAMES = [name for name in gymnasium.registry if name.startswith("jaxdyna/")]
 
 
+@pytest.mark.filterwarnings("ignore:.*symmetric and normalized")  # of actions
 @pytest.mark.parametrize("name", NAMES)
 def test_gymnasium_accepts_it(name):
     check_env(gymnasium.make(name, render_mode="rgb_array").unwrapped)

@@ -187,7 +187,7 @@ def test_frames_are_seen_as_they_are():
 
 
 class Continuous(Script):
-    action_space = spaces.Box(-1, 1, (2,))
+    action_space = spaces.Box(-1, 1, (2, 2))
 
 
 class Parted(Script):

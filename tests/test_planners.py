@@ -309,7 +309,7 @@ def test_rounds_are_drawn_like_the_best_of_the_one_before():
 def test_worth_by_hand():
     """By the best, by the mean, and in between, of the sequences that begin with an action."""
     action, returns = jnp.array([0, 0, 1]), jnp.array([1.0, 3.0, 2.5])
-    worth = {t: mpc._worth(action, returns, 2, t) for t in (0.0, 1.0, float("inf"))}
+    worth = {t: mpc._worth(jnp.arange(2), action, returns, t) for t in (0.0, 1.0, float("inf"))}
     np.testing.assert_allclose(worth[0.0], [3, 2.5])
     np.testing.assert_allclose(worth[1.0], [np.log((np.e + np.e**3) / 2), 2.5], rtol=1e-6)
     np.testing.assert_allclose(worth[float("inf")], [2, 2.5])
@@ -448,7 +448,7 @@ def test_without_mctx_it_says_what_to_install(monkeypatch):
 
 @pytest.mark.parametrize("temperature", [0.0, 5.0, float("inf")])
 def test_an_action_that_no_sequence_begins_with_is_not_chosen(temperature):
-    worth = mpc._worth(jnp.zeros(8, int), jnp.full(8, 30.0), 2, temperature)
+    worth = mpc._worth(jnp.arange(2), jnp.zeros(8, int), jnp.full(8, 30.0), temperature)
     np.testing.assert_allclose(worth, [30.0, -np.inf], rtol=1e-6)
 
 

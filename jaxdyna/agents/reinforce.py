@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -9,7 +10,8 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from jaxdyna.fields import Checked, check_counts, check_shape, setting
+from jaxdyna.actions import Actions, as_actions
+from jaxdyna.fields import Checked, check_shape, setting
 from jaxdyna.losses import clipped_policy_gradient, discounted_returns, policy_gradient, standardise
 from jaxdyna.networks import MLP
 from jaxdyna.optimizers import Optimizer, Trained, optimizer_setting
@@ -84,16 +86,18 @@ class ReinforceConfig(Checked):
         "one begins with all actions alike.", above=0)  # fmt: skip
 
 
-def _network(num_actions: int, config: ReinforceConfig) -> MLP:
-    return MLP((*config.hidden, num_actions), output_variance=config.output_variance)
+def _network(actions: Actions, config: ReinforceConfig) -> MLP:
+    seen, free = actions.outputs
+    return MLP((*config.hidden, seen), output_variance=config.output_variance, free=free)
 
 
 def policy_logits(
-    num_actions: int, config: ReinforceConfig
+    num_actions: int | Actions, config: ReinforceConfig
 ) -> Callable[[Any, jax.Array], jax.Array]:
-    """``(params, obs [*obs]) -> [A]``: the log odds that an agent of `reinforce` acts by."""
-    check_counts(num_actions=num_actions)
-    network = _network(num_actions, config)
+    """``(params, obs [*obs]) -> [A]``: the log odds that an agent of `reinforce` acts by, or in a
+    Box what its Gaussian is, see `jaxdyna.actions`.
+    """
+    network = _network(as_actions(num_actions), config)
 
     def logits(params: Any, obs: jax.Array) -> jax.Array:
         return jnp.asarray(network.apply(params, obs.reshape(-1).astype(jnp.float32)))
@@ -102,13 +106,18 @@ def policy_logits(
 
 
 def reinforce(
-    obs_shape: tuple[int, ...], num_actions: int, config: ReinforceConfig | None = None
+    obs_shape: tuple[int, ...], num_actions: int | Actions, config: ReinforceConfig | None = None
 ) -> Agent:
-    """An `Agent` whose hparams are `ReinforceHParams`; it flattens observations ``obs_shape``."""
+    """An `Agent` whose hparams are `ReinforceHParams`; it flattens observations ``obs_shape``. Of
+    numbered actions its policy is categorical, in a Box Gaussian, with standard deviations that do
+    not depend on what is seen.
+    """
     config = config or ReinforceConfig()
     check_shape(obs_shape=obs_shape)
-    logits = policy_logits(num_actions, config)
-    network = _network(num_actions, config)
+    actions, logits = as_actions(num_actions), policy_logits(num_actions, config)
+    network = _network(actions, config)
+    surrogate = partial(policy_gradient, log_prob=actions.log_prob)
+    clipped_surrogate = partial(clipped_policy_gradient, log_prob=actions.log_prob)
 
     def init(key: Key, hparams: ReinforceHParams) -> Trained:
         params = network.init(key, jnp.zeros(obs_shape, jnp.float32).reshape(-1))
@@ -116,10 +125,10 @@ def reinforce(
         return Trained(params, opt_state)
 
     def act(state: Trained, obs: jax.Array, key: Key, hparams: Any) -> jax.Array:
-        return jax.random.categorical(key, logits(state.params, obs))
+        return actions.sample(key, logits(state.params, obs))
 
     def act_greedy(state: Trained, obs: jax.Array, *_: Any) -> jax.Array:
-        return jnp.argmax(logits(state.params, obs))
+        return actions.mode(logits(state.params, obs))
 
     def update(
         state: Trained, transitions: Transition, key: Key, hparams: ReinforceHParams
@@ -142,7 +151,7 @@ def reinforce(
 
         def on_policy(params):
             now = outputs(params)
-            return jax.vmap(policy_gradient)(now, transitions.action, advantage, weight).mean()
+            return jax.vmap(surrogate)(now, transitions.action, advantage, weight).mean()
 
         def step(state: Trained, loss_fn: Callable) -> tuple[Trained, jax.Array]:
             loss, grads = jax.value_and_grad(loss_fn)(state.params)
@@ -156,7 +165,7 @@ def reinforce(
 
             def clipped(params):
                 batch = outputs(params), transitions.action, advantage, weight, before
-                return jax.vmap(clipped_policy_gradient)(*batch).mean()
+                return jax.vmap(clipped_surrogate)(*batch).mean()
 
             new, _ = jax.lax.scan(
                 lambda state, _: step(state, clipped), new, length=config.epochs - 1

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.actions import actions_of, number_of
 from jaxdyna.agents import ReinforceConfig, dqn, real_memory, reinforce
 from jaxdyna.dyna.config import DynaHParams
 from jaxdyna.dyna.parts import Dream, Dyna, DynaState, Metrics
@@ -81,21 +82,23 @@ def parts(env: FrameStack, agent: Any, model: Any) -> Dyna:
     episodes did.
 
     Args:
-        env: frames, or vectors, stacked.
+        env: frames, or vectors, stacked; where its actions are a Box, vectors and REINFORCE.
         agent: a `DQNConfig` or a `ReinforceConfig`.
         model: a `PixelConfig` of frames, a `SupervisedConfig` of vectors.
     """
-    count, actions = env.num_frames, env.num_actions
+    count, actions = env.num_frames, actions_of(env)
     shape = env.env.observation_space(env.default_params).shape
     stack = env.observation_space(env.default_params).shape
     if isinstance(model, PixelConfig):
-        learned, rare = pixels(shape, actions, model, count), rewarded
+        number = number_of(actions, "the model of frames", "let the world be seen as vectors")
+        learned, rare = pixels(shape, number, model, count), rewarded
     else:
         learned, rare = supervised(stack[0], actions, model), ended
     if isinstance(agent, ReinforceConfig):
         policy = reinforce(stack, actions, agent)
         return frame_dyna(env, policy, learned, shared=None, first=True, rare=rare)
-    return frame_dyna(env, dqn(shape, actions, agent, count), learned, rare=rare)
+    number = number_of(actions, "a DQN", "let REINFORCE act")
+    return frame_dyna(env, dqn(shape, number, agent, count), learned, rare=rare)
 
 
 @cache

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.actions import actions_of
 from jaxdyna.dyna.conditional import mean_of_done, unknown
 from jaxdyna.dyna.config import DynaConfig, DynaHParams
 from jaxdyna.dyna.parts import Dyna, DynaState, Metrics, check_hparams, check_parts, check_shapes
@@ -195,13 +196,13 @@ def _play_episode(dyna, config, state, episode, key, hparams) -> tuple[Transitio
     """One real episode ``[1, T]`` of the agent, or of the expert where it is the expert's."""
     if dyna.expert is None:
         return play_real(dyna, config, state.agent, key, hparams)
-    is_experts = dyna.expert.plays(episode, config)
+    is_experts, kind = dyna.expert.plays(episode, config), actions_of(dyna.env).dtype
 
     def act(obs, key):
         return jax.lax.cond(
             is_experts,
-            lambda: jnp.asarray(dyna.expert.act(state, obs, key, hparams), jnp.int32),
-            lambda: dyna.agent.act(state.agent, obs, key, hparams.agent).astype(jnp.int32),
+            lambda: jnp.asarray(dyna.expert.act(state, obs, key, hparams), kind),
+            lambda: dyna.agent.act(state.agent, obs, key, hparams.agent).astype(kind),
         )
 
     return _real(dyna, config, act, key, hparams)

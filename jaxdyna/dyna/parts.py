@@ -12,6 +12,7 @@ import jax
 import numpy as np
 from flax import struct
 
+from jaxdyna.actions import actions_of, as_actions
 from jaxdyna.dyna.config import DynaConfig, DynaHParams
 from jaxdyna.fields import SettingError, check_kind
 from jaxdyna.replay import memory
@@ -105,7 +106,7 @@ class DynaState:
 
 def check_parts(dyna: Dyna, config: DynaConfig) -> None:
     """Raises `ValueError` where parts are none, or disagree without any hyper-parameters."""
-    check_part("env", dyna.env, "reset", "step", "default_params", "num_actions")
+    check_part("env", dyna.env, "reset", "step", "default_params")
     check_part("agent", dyna.agent, "init", "act", "update")
     if dyna.model is not None:
         check_part("model", dyna.model, "init", "predict", "update")
@@ -114,12 +115,12 @@ def check_parts(dyna: Dyna, config: DynaConfig) -> None:
     if (dyna.dream or dyna.expert) and first > episodes:
         said = f"(N) is {first} but there are only {episodes} episodes: lower N or raise these"
         raise SettingError("num_real_first", said)
-    count, dream = dyna.env.num_actions, dyna.dream and dyna.dream.env
+    actions, dream = actions_of(dyna.env), dyna.dream and dyna.dream.env
     for name, part in (("agent", dyna.agent), ("model", dyna.model), ("dream", dream)):
         own = getattr(part, "num_actions", None)
-        if own not in (None, count):
-            world = type(dyna.env).__name__
-            raise ValueError(f"the {name} has {own} actions and {world} {count}: give it {count}")
+        if own is not None and as_actions(own) != actions:
+            said = f"the {name} has {own} actions and {type(dyna.env).__name__} {actions}"
+            raise ValueError(f"{said}: give it {actions}")
 
 
 def check_hparams(dyna: Dyna, config: DynaConfig, hparams: DynaHParams) -> None:

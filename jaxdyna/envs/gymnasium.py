@@ -202,7 +202,7 @@ class HostEnv(Host, gymnasium.Env[np.ndarray, np.int64]):
         """
         if self._state is None:
             raise ValueError("step before reset: call reset() first")
-        chosen: Any = np.asarray(action)  # JAX's numbers too
+        chosen: Any = _given(self.action_space, action)
         if not self.action_space.contains(chosen):
             raise ValueError(f"action {action!r} is not in {self.action_space}")
         if self._end is not None:
@@ -270,11 +270,12 @@ class HostVectorEnv(Host, VectorEnv):
         """
         if self._state is None:
             raise ValueError("step before reset: call reset() first")
-        if not self.action_space.contains(np.asarray(actions)):
+        chosen = _given(self.action_space, actions)
+        if not self.action_space.contains(chosen):
             raise ValueError(f"actions {actions!r} are not in {self.action_space}")
         seeds = _draw_seeds(self.np_random, self.num_envs)
         obs, self._state, *outcome, info = _vector_step(
-            self.env, self.params, seeds, self._state, jnp.asarray(actions), self._ended
+            self.env, self.params, seeds, self._state, jnp.asarray(chosen), self._ended
         )
         reward, terminated, truncated = (np.asarray(part) for part in outcome)
         played, self._ended = ~self._ended, terminated | truncated
@@ -329,6 +330,11 @@ def _first_obs(
         return obs.astype(space.dtype)
     takes = f"obs {space.shape}, or low and high, in this order of size" if known else "no options"
     raise ValueError(f"options are {options}: {type(env).__name__} takes {takes}")
+
+
+def _given(space: spaces.Space, actions: Any) -> np.ndarray:
+    """JAX's numbers too, and of vectors those of 64 bits."""
+    return np.asarray(actions, np.float32 if isinstance(space, spaces.Box) else None)
 
 
 def _draw_seeds(generator: np.random.Generator, count: int) -> np.ndarray:

@@ -25,7 +25,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers import TransformAction, TransformObservation
 
-from jaxdyna.envs.gymnasium import Discrete
+from jaxdyna.actions import actions_in
 from jaxdyna.fields import check_counts, setting
 from jaxdyna.trees import anywhere, where
 from jaxdyna.types import Key, Stepped
@@ -54,7 +54,8 @@ def from_gymnasium(make: Make, num_envs: int) -> "Hosted":
 
     Args:
         make: an id, or a callable that returns an ``Env`` or a ``VectorEnv``. Observations are
-            vectors, or frames of bytes ``[height, width, channels]``; actions are discrete.
+            vectors, or frames of bytes ``[height, width, channels]``; actions are discrete, or
+            vectors in a bounded Box, to which they are clipped.
         num_envs: episodes that are played at a time, at the most; worlds are made as they are
             needed. Of runs that are computed together: of all of them.
     """
@@ -85,7 +86,7 @@ class HostedState:
 
 
 @dataclass(frozen=True)
-class Hosted(Discrete):
+class Hosted:
     """What `from_gymnasium` returns."""
 
     make: Make
@@ -102,9 +103,14 @@ class Hosted(Discrete):
         return HostedParams(getattr(self.host.first.spec, "max_episode_steps", None) or UNLIMITED)
 
     @property
-    def num_actions(self) -> int:  # type: ignore[override]
+    def num_actions(self) -> int:
         """The number of discrete actions; the first is 0, whatever the world calls it."""
         return int(self.host.first.actions.n)
+
+    def action_space(self, params: HostedParams) -> spaces.Space:
+        """The world's; of discrete actions the first is 0."""
+        given = self.host.first.actions
+        return spaces.Discrete(given.n) if isinstance(given, spaces.Discrete) else given
 
     @property
     def reward_threshold(self) -> float | None:
@@ -144,8 +150,11 @@ class Hosted(Discrete):
         so of all that are computed together the host is not called.
         """
         over = state.terminated | state.truncated
-        flags = jnp.stack([action, state.time + 1 >= params.max_steps, over]).astype(jnp.uint32)
-        asked, idle = jnp.concatenate([state.name, flags]), (jnp.zeros(5, jnp.uint32), state.obs)
+        flags = jnp.stack([state.time + 1 >= params.max_steps, over]).astype(jnp.uint32)
+        chosen = jnp.atleast_1d(jnp.asarray(action, self.host.first.kind.dtype))
+        words = jax.lax.bitcast_convert_type(chosen, jnp.uint32)
+        asked = jnp.concatenate([state.name, flags, words])
+        idle = jnp.zeros(5, jnp.uint32), state.obs
         said, obs = jax.lax.cond(
             anywhere(~over), lambda: self._called(self.host.step, asked), lambda: idle
         )
@@ -175,8 +184,7 @@ class Worlds:
         prefix = "single_" if self.vector else ""
         self.actions = getattr(env, f"{prefix}action_space")
         self.space = _observed(getattr(env, f"{prefix}observation_space"))
-        if not isinstance(self.actions, spaces.Discrete):
-            raise ValueError(f"actions are {self.actions}, not Discrete: {WRAP}TransformAction")
+        self.kind = actions_in(self.actions)
         self.mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         self.names: list[bytes | None] = [None] * (env.num_envs if self.vector else 1)
         self.spec = getattr(env, "spec", None) or getattr((*getattr(env, "envs", ()), env)[0],
@@ -196,15 +204,16 @@ class Worlds:
             ) from None
         return list(self._seen(obs))[: len(seeds)]
 
-    def step(self, actions: Mapping[int, int]) -> list[tuple[np.ndarray, float, bool, bool]]:
+    def step(self, actions: Mapping[int, bytes]) -> list[tuple[np.ndarray, float, bool, bool]]:
         """What a step brought each lane, ``obs, reward, terminated, truncated``; those without an
         action are given any.
         """
-        first = int(self.actions.start)
         if not self.vector:
-            obs, *ends, _ = self.env.step(first + actions[0])
+            obs, *ends, _ = self.env.step(self._chosen(actions[0]))
             return [(self._seen(obs), *ends)]
-        chosen = [first + actions.get(lane, 0) for lane in range(len(self.names))]
+        anything = np.zeros(self.kind.shape or 1, self.kind.dtype).tobytes()
+        lanes = range(len(self.names))
+        chosen = [self._chosen(actions.get(lane, anything)) for lane in lanes]
         obs, reward, terminated, truncated, info = self.env.step(np.array(chosen))
         rows, over = list(self._seen(obs)), np.asarray(terminated | truncated)
         if self.mode == AutoresetMode.SAME_STEP:  # what is seen is of a new episode
@@ -213,6 +222,13 @@ class Worlds:
         if self.mode == AutoresetMode.DISABLED and over.any():  # or the others could not go on
             self.env.reset(seed=[0] * len(rows), options={"reset_mask": over})
         return list(zip(rows, reward, terminated, truncated, strict=True))
+
+    def _chosen(self, words: bytes) -> Any:
+        """An action as the world takes it."""
+        chosen = np.frombuffer(words, self.kind.dtype)
+        if isinstance(self.actions, spaces.Discrete):
+            return int(self.actions.start + chosen[0])
+        return np.clip(chosen, self.actions.low, self.actions.high).astype(self.actions.dtype)
 
     def _seen(self, obs: Any) -> np.ndarray:
         return np.array(obs, self.space.dtype)
@@ -242,15 +258,15 @@ class Host:
         return self._arrays(answers, seeds.shape)
 
     def step(self, asked: Any) -> tuple[np.ndarray, np.ndarray]:
-        """A step of each episode ``[..., 5]``: its name, the action, whether it is the last, and
-        whether there is none to make, as it is over. `RuntimeError` where the world of one is in
+        """A step of each episode ``[..., 4 + n]``: its name, whether it is the last, whether there
+        is none to make, as it is over, and the action. `RuntimeError` where the world of one is in
         use by another.
         """
-        rows = np.asarray(asked).reshape(-1, 5)
+        rows = np.asarray(asked).reshape(-1, asked.shape[-1])
         nothing = bytes(ANSWER.size), np.zeros(self.first.space.shape, self.first.space.dtype)
         answers = dict.fromkeys(range(len(rows)), nothing)
         with self.lock:
-            answers |= self._played({n: row.tobytes() for n, row in enumerate(rows) if not row[4]})
+            answers |= self._played({n: row.tobytes() for n, row in enumerate(rows) if not row[3]})
         return self._arrays([*answers.values()], asked.shape[:-1])
 
     def _played(self, asked: Mapping[int, bytes]) -> dict[int, tuple[bytes, np.ndarray]]:
@@ -269,11 +285,11 @@ class Host:
         for worlds, lanes in moves.items():
             if any(worlds.names):
                 raise RuntimeError("lanes of a VectorEnv are stepped together: leave none out")
-            played = worlds.step({lane: _action(asked[n]) for lane, n in lanes.items()})
+            played = worlds.step({lane: asked[n][16:] for lane, n in lanes.items()})
             for lane, number in lanes.items():
                 row, (obs, reward, ends, truncated) = asked[number], played[lane]
                 terminated = bool(ends)
-                cut = not terminated and bool(truncated or row[12])
+                cut = not terminated and bool(truncated or row[8])
                 name = _digest(row + ANSWER.pack(b"", reward, terminated, cut), obs)
                 answers[number] = ANSWER.pack(name, reward, terminated, cut), obs
                 self.said[row] = answers[number]
@@ -324,10 +340,6 @@ class Host:
         said, obs = zip(*answers, strict=True)
         packed = np.frombuffer(b"".join(said), np.uint32).reshape((*lead, 5))
         return packed, np.stack(obs).reshape((*lead, *self.first.space.shape))
-
-
-def _action(row: bytes) -> int:
-    return int.from_bytes(row[8:12], "little")
 
 
 def _digest(what: bytes, obs: np.ndarray) -> bytes:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxdyna.actions import actions_of
 from jaxdyna.envs.hosted import from_gymnasium
 from jaxdyna.types import check_part
 
@@ -52,7 +53,8 @@ def named(said: str) -> Any:
 
 def _checked(env: Any) -> Any:
     """The pure environment, where it is seen as `jaxdyna.dyna.frames.parts` takes it."""
-    check_part("the world", env, "reset", "step", "num_actions", "observation_space")
+    check_part("the world", env, "reset", "step", "observation_space")
+    actions_of(env)
     if not hasattr(env.default_params, "max_steps"):
         raise ValueError(f"{type(env).__name__}'s default_params have no max_steps: add it")
     space = env.observation_space(env.default_params)

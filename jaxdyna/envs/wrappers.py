@@ -26,7 +26,7 @@ class Wrapper(Checked):
 
     @property
     def num_actions(self) -> int:
-        return self.env.num_actions
+        return self.env.num_actions  # type: ignore[attr-defined]
 
     def action_space(self, params: Any) -> Any:
         return self.env.action_space(params)

@@ -14,6 +14,7 @@ import optax
 import tyro
 
 from jaxdyna import agents, models, networks
+from jaxdyna.actions import Box, actions_of, number_of
 from jaxdyna.agents.reinforce import per_step
 from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs import FrameStack
@@ -35,7 +36,7 @@ class World:
     """What decides which settings there are."""
 
     env: str | None = setting(None, FORMS)
-    agent: Literal["dqn", "reinforce"] | None = setting(None, "who acts; None: a DQN")
+    agent: Literal["dqn", "reinforce"] | None = setting(None, "who acts; None: by the actions")
     from_: Annotated[Path | None, tyro.conf.arg(name="from")] = setting(None, "a results.json")
 
 
@@ -72,14 +73,17 @@ class AnyOptions(engine.Options):
         })  # fmt: skip
 
 
-def defaults(said: str, learner: str) -> AnyOptions:
+def defaults(said: str, learner: str | None = None) -> AnyOptions:
     """The settings for a world, by its spaces; whatever carries over is of ``lean``. `ValueError`
     where there is no such world, or the agent cannot see it.
     """
     env = named(said)
     params = env.default_params
-    shape, actions = env.observation_space(params).shape, env.num_actions
+    shape, actions = env.observation_space(params).shape, actions_of(env)
     pictures, board = len(shape) == 3, max(shape[:2]) <= SMALL
+    learner = learner or ("reinforce" if isinstance(actions, Box) and not pictures else "dqn")
+    if learner == "dqn":
+        number = number_of(actions, "--agent dqn", "let it be seen as a vector, by reinforce")
     dyna = DynaConfig(
         num_steps=params.max_steps, num_real_first=5, model_updates=300, model_batch=64,
         rare_share=0.25, dream_updates=2, dream_episodes=200, dream_steps=5, eval_every=20,
@@ -91,7 +95,7 @@ def defaults(said: str, learner: str) -> AnyOptions:
         if learner != "dqn":
             raise ValueError(f"--agent {learner} sees vectors, {said} frames: give --agent dqn")
         picture = (networks.LocalDynamics if board else networks.EncoderDecoder)(shape[-1])
-        network = (networks.GlimpseQ if board else networks.ConvolutionalQ)(actions)
+        network = (networks.GlimpseQ if board else networks.ConvolutionalQ)(number)
         return options(
             frames=4, dyna=dyna, model=models.PixelConfig(picture, terminates=True),
             agent=agents.DQNConfig(network, updates=100, fake_updates=400, fake_capacity=8000),
@@ -102,23 +106,19 @@ def defaults(said: str, learner: str) -> AnyOptions:
     model = models.SupervisedConfig(
         hidden=(64, 64), sum_loss=False, delta=True, normalise=True, scale_reward=True,
         one_hot=True, ensemble=5, one_member=True, optimizer=optax.adam)  # fmt: skip
+    agent: Any = agents.DQNConfig(updates=0, updates_per_step=1.0, fake_updates=200, batch=64)
+    own: Any = agents.DQNHParams(discount=0.99, epsilon_last=0.02)
     dream = models.DreamHParams(uncertainty_threshold=0.3)
     if learner == "reinforce":
-        return options(
-            dyna=replace(dyna, dream_updates=20, dream_episodes=16, dream_steps=None),
-            agent=agents.ReinforceConfig(advantage=per_step, output_variance=1e-4), model=model,
-            hparams=DynaHParams(
-                agents.ReinforceHParams(), models.SupervisedHParams(3e-3), params, dream
-            ),
-        )  # fmt: skip
-    return options(
-        dyna=dyna, model=model,
-        agent=agents.DQNConfig(updates=0, updates_per_step=1.0, fake_updates=200, batch=64),
-        hparams=DynaHParams(
-            agents.DQNHParams(discount=0.99, epsilon_last=0.02), models.SupervisedHParams(3e-3),
-            params, dream,
-        ),
-    )  # fmt: skip
+        dyna = replace(dyna, dream_updates=20, dream_episodes=16, dream_steps=None)
+        agent = agents.ReinforceConfig(advantage=per_step, output_variance=1e-4)
+        own = agents.ReinforceHParams()
+    if isinstance(actions, Box):  # chosen on Pendulum
+        dyna = replace(dyna, dream_updates=10, dream_episodes=32)
+        agent, own = replace(agent, hidden=(64,), epochs=10), agents.ReinforceHParams(1e-3, 0.98)
+        dream = models.DreamHParams()  # where every step costs, a dream cut off is a gain
+    hparams = DynaHParams(own, models.SupervisedHParams(3e-3), params, dream)
+    return options(dyna=dyna, model=model, agent=agent, hparams=hparams)
 
 
 def arms(options: AnyOptions) -> dict[str, study.Made]:
@@ -143,7 +143,7 @@ def solved(*sections: Any) -> Any:
     )
 
 
-def experiment(said: str, learner: str) -> engine.Experiment:
+def experiment(said: str, learner: str | None) -> engine.Experiment:
     """A world's experiment."""
     options = defaults(said, learner)
     vectors = isinstance(options.model, models.SupervisedConfig)
@@ -169,12 +169,12 @@ def command_parts(flags: Sequence[str]) -> tuple[list[engine.Experiment], list[s
     said, rest = cli.read(World, asked, PROG, return_unknown_args=True)
     earlier = ((storage.read_json(said.from_) or {}) if said.from_ else {}).get("config", {})
     rest = [*rest, *helping, *(("--from", str(said.from_)) if said.from_ else ())]
-    env, agent = said.env or earlier.get("env"), said.agent or earlier.get("learner", "dqn")
+    env, agent = said.env or earlier.get("env"), said.agent or earlier.get("learner")
     if env is None and helping:
         return [experiment("jaxdyna:CartPole", agent)], rest, f"{PROG} --env WORLD"
     if env is None:
         raise ValueError(f"--env is missing: give {FORMS}")
-    prog = f"{PROG} --env {shlex.quote(env)}" + f" --agent {agent}" * (agent != "dqn")
+    prog = f"{PROG} --env {shlex.quote(env)}" + f" --agent {agent}" * bool(agent)
     return [experiment(env, agent)], rest, prog
 
 

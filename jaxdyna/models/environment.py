@@ -120,7 +120,7 @@ class LearnedEnvironment(Checked):
 
     @property
     def num_actions(self) -> int:
-        return self.real.num_actions
+        return self.real.num_actions  # type: ignore[attr-defined]
 
     def reset(self, key: Key, params: LearnedParams) -> tuple[jax.Array, LearnedState]:
         """Draws a start state."""

@@ -26,7 +26,7 @@ def open_loop(
     predict: Predict, params: Any, obs: jax.Array, action: jax.Array, key: Key
 ) -> Prediction:
     """Predictions ``[T, ...]`` fed back as the next input, from ``obs [*obs]`` on, under given
-    actions, int ``[T]``; they go on past any predicted end.
+    actions, ``[T, ...]``; they go on past any predicted end.
     """
 
     def step(carry, action):

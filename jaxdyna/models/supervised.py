@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
+from jaxdyna.actions import Actions, as_actions
 from jaxdyna.fields import Checked, check_counts, setting
 from jaxdyna.losses import transition_loss
 from jaxdyna.networks import MLP
@@ -52,7 +53,9 @@ class SupervisedConfig(Checked):
         "How many standard deviations normalise maps to 1. More makes the state's errors smaller "
         "beside the cross-entropy of the end, and a summed loss stable at larger steps.", above=0,
     )  # fmt: skip
-    one_hot: bool = setting(False, "Encode the action one-hot instead of as one number.")
+    one_hot: bool = setting(
+        False, "Encode a numbered action one-hot, not as one number; vectors by their bounds."
+    )  # fmt: skip
     ensemble: int = setting(
         1, "Members of the ensemble, each with its own initial weights and its own resampling of "
         "every batch; a prediction is their mean.", at_least=1, everyday=True)  # fmt: skip
@@ -92,13 +95,13 @@ class SupervisedParams:
 
 
 def supervised(
-    obs_size: int, num_actions: int, config: SupervisedConfig | None = None
+    obs_size: int, num_actions: int | Actions, config: SupervisedConfig | None = None
 ) -> DynamicsModel:
     """The paper's dynamics MLP and its better-conditioned variants.
 
     Args:
         obs_size: length of the observation vector.
-        num_actions: number of discrete actions.
+        num_actions: number of discrete actions, or what else they are (`jaxdyna.actions`).
         config: the program's settings.
 
     Returns:
@@ -108,9 +111,10 @@ def supervised(
         a single member.
     """
     config = config or SupervisedConfig()
-    check_counts(obs_size=obs_size, num_actions=num_actions)
+    check_counts(obs_size=obs_size)
+    actions = as_actions(num_actions)
+    encode = partial(actions.encode, one_hot=config.one_hot)
     network = MLP((*config.hidden, obs_size + 2), weight_variance=config.weight_variance)
-    action_size = num_actions if config.one_hot else 1
     spread = config.spread if config.normalise else 1.0
 
     def raw_target(obs: jax.Array, next_obs: jax.Array) -> jax.Array:
@@ -122,12 +126,11 @@ def supervised(
         member. A batch goes in whole: vmapped, XLA would turn the gradient of each weight around.
         """
         scaled = (obs - params.inputs.mean) / (spread * params.inputs.std)
-        done = jax.nn.one_hot(action, num_actions) if config.one_hot else action[..., None]
-        output: Any = network.apply(weights, jnp.concatenate([scaled, done], axis=-1))
+        output: Any = network.apply(weights, jnp.concatenate([scaled, encode(action)], axis=-1))
         return output[..., :obs_size], output[..., obs_size], output[..., obs_size + 1]
 
     def init(key: Key, hparams: SupervisedHParams) -> Trained:
-        zeros = jnp.zeros(obs_size + action_size)
+        zeros = jnp.zeros(obs_size + encode(jnp.zeros(actions.shape, actions.dtype)).size)
         weights = jax.vmap(network.init, (0, None))(jax.random.split(key, config.ensemble), zeros)
         still, rewards = _still(obs_size), _still(1) if config.scale_reward else None
         opt_state = config.optimizer(hparams.learning_rate).init(weights)
@@ -136,7 +139,7 @@ def supervised(
     def predict(
         params: SupervisedParams, obs: jax.Array, action: jax.Array, key: Key
     ) -> Prediction:
-        chex.assert_shape([obs, action], [(obs_size,), ()])
+        chex.assert_shape([obs, action], [(obs_size,), actions.shape])
         scaled, reward, logit = _over_members(
             partial(member, params=params, obs=obs, action=action), config.ensemble
         )(params.network)

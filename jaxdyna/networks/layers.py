@@ -14,14 +14,14 @@ from jaxdyna.networks.convolution import channel_axis, convolve, correlate, on_c
 
 class Sized(nn.Module):
     """A module whose whole numbers, in tuples too, are sizes, at least 1; only ``hidden`` may be
-    empty. `SettingError` where one is none.
+    empty, ``padding`` and ``free`` 0. `SettingError` where one is none.
     """
 
     def __post_init__(self) -> None:
         for name, field in self.__dataclass_fields__.items():
             value = getattr(self, name)
             if field.type in (int, "int"):
-                check_counts(int(name != "padding"), **{name: value})
+                check_counts(int(name not in ("padding", "free")), **{name: value})
             elif str(field.type).startswith("tuple[int"):
                 check_shape(**{name: value if name == "hidden" else value or 0})
         super().__post_init__()
@@ -60,15 +60,17 @@ class MLP(Sized):
             LeCun's, 1/3 the uniform one that PyTorch's layers (the authors' code) start from.
             Smaller features keep plain SGD stable at larger learning rates.
         output_variance: the same of the last layer's; None: as ``weight_variance``.
+        free: outputs after these that are parameters themselves, whatever the input; 0 at first.
     """
 
     features: tuple[int, ...]
     weight_variance: float = 1.0
     output_variance: float | None = None
+    free: int = 0
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
-        """Maps ``[..., in]`` to ``[..., features[-1]]``."""
+        """Maps ``[..., in]`` to ``[..., features[-1] + free]``."""
 
         def initial(variance: float) -> Any:
             return nn.initializers.variance_scaling(variance, "fan_in", "uniform")
@@ -77,7 +79,11 @@ class MLP(Sized):
         for width in self.features[:-1]:
             x = nn.relu(dense(width, kernel_init=initial(self.weight_variance))(x))
         last = self.weight_variance if self.output_variance is None else self.output_variance
-        return dense(self.features[-1], kernel_init=initial(last))(x)
+        x = dense(self.features[-1], kernel_init=initial(last))(x)
+        if self.free:
+            free = self.param("free", nn.initializers.zeros, (self.free,), jnp.float32)
+            x = jnp.concatenate([x, jnp.broadcast_to(free, (*x.shape[:-1], self.free))], axis=-1)
+        return x
 
 
 class Convolution(Sized):

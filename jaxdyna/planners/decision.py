@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.actions import actions_of
 from jaxdyna.fields import check_counts
 from jaxdyna.trees import as_held, where
 from jaxdyna.types import Environment, Key
@@ -31,7 +32,7 @@ class Guide(NamedTuple):
 class Decision(NamedTuple):
     """What to do now."""
 
-    action: jax.Array  #: int32 scalar
+    action: jax.Array  #: int32 scalar, or in a Box float32 ``[n]``
     value: jax.Array  #: the discounted return that the planner expects, scalar
 
 
@@ -53,18 +54,19 @@ class Planner(Protocol):
 
 
 def rollout_value(
-    env: Environment, env_params: Any, num_steps: int, discount: float = 1.0
+    env: Environment, env_params: Any, num_steps: int = 50, discount: float = 1.0
 ) -> Value:
     """The value of a state by one random episode from it, of ``num_steps`` (static) at the most, as
     in the first Monte Carlo tree searches (Kocsis and Szepesvári 2006).
     """
     check_counts(num_steps=num_steps)
+    space = actions_of(env)
 
     def value(obs: jax.Array, state: Any, key: Key) -> jax.Array:
         def step(carry, _):
             state, alive, weight, total, key = carry
             key, key_action, key_step = jax.random.split(key, 3)
-            action = jax.random.randint(key_action, (), 0, env.num_actions)
+            action = space.uniform(key_action)
             _, new, reward, terminated, truncated, _ = env.step(key_step, state, action, env_params)
             total = as_held(total + jnp.where(alive, weight * reward, 0.0), total)
             # a learned world that goes on after its end may leave all numbers behind

@@ -1,6 +1,10 @@
 """Monte Carlo tree search by mctx, an environment's ``step`` as its recurrent function: a learned
 model is searched as MuZero searches its own (Schrittwieser et al. 2020).
 
+A node that the search has just reached is worth `jaxdyna.planners.Guide.value`, and without one
+nothing: rewards are seen only as deep as the tree grows, which is few steps. Where they come later,
+or at every step alike, all actions look the same: give it `jaxdyna.planners.rollout_value`.
+
 The ``planning`` extra brings mctx; nothing else needs it.
 """
 
@@ -11,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.actions import actions_of, number_of
 from jaxdyna.fields import Checked, setting
 from jaxdyna.planners.decision import Decision, Guide, Planner
 from jaxdyna.trees import where
@@ -66,7 +71,7 @@ def gumbel_muzero(env: Environment, config: SearchConfig) -> Planner:
 
 def muzero(env: Environment, config: SearchConfig) -> Planner:
     """Search by upper confidence bounds under the prior (Schrittwieser et al. 2020) in ``env``, a
-    true or a learned environment; `ImportError` without mctx.
+    true or a learned environment; `ImportError` without mctx, `ValueError` where actions are a Box.
     """
     mctx = require_mctx()
 
@@ -84,12 +89,13 @@ WORST = -1e6  #: what a reward or value that is not finite counts as
 
 def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable) -> Planner:
     """mctx searches batches: this one's is of 1, and ``vmap`` makes them larger."""
+    count = number_of(actions_of(env), "tree search", "plan by cross_entropy or random_shooting")
 
     def plan(
         env_params: Any, obs: jax.Array, state: Any, key: Key, guide: Guide = Guide()
     ) -> Decision:
         def prior(obs: jax.Array) -> jax.Array:
-            return guide.prior(obs) if guide.prior else jnp.zeros(env.num_actions)
+            return guide.prior(obs) if guide.prior else jnp.zeros(count)
 
         def value(node: Node, key: Key) -> jax.Array:
             return guide.value(node.obs, node.state, key) if guide.value else jnp.float32(0)

@@ -1,9 +1,9 @@
-"""Model-predictive control over sequences of discrete actions (Nagabandi et al. 2018, §IV-C): try
-sequences in the world, do the first action of the best one, plan anew after every step.
+"""Model-predictive control over sequences of actions, numbered or in a Box (Nagabandi et al. 2018,
+§IV-C): try sequences in the world, do the first action of the best one, plan anew after every step.
 
 A reward is seen only within the horizon: it has to reach as far as the goal is, or
-`jaxdyna.planners.Guide.value` has to say what comes after. Planning starts from nothing at every
-step: there is no warm start.
+`jaxdyna.planners.Guide.value` has to say what comes after, as `jaxdyna.planners.rollout_value`
+does. Planning starts from nothing at every step: there is no warm start.
 """
 
 import math
@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxdyna.actions import actions_of
 from jaxdyna.fields import Checked, SettingError, setting
 from jaxdyna.planners.decision import Decision, Guide, Planner, Value
 from jaxdyna.trees import as_held, where
@@ -30,8 +31,9 @@ class ShootingConfig(Checked):
     discount: float = setting(1.0, "Discount of the return.", at_least=0, at_most=1)
     drift: float = setting(
         0.0,
-        "Standard deviation of the log odds of a candidate's actions, drawn for each: it keeps a "
-        "direction, as a random walk does not. 0: every action is as likely at every step.",
+        "Standard deviation of the log odds of a candidate's actions, drawn for each, or in a Box "
+        "of what moves them, over half its width: it keeps a direction, as a random walk does not. "
+        "0: every action is as likely at every step.",
         at_least=0,
     )
     temperature: float = setting(
@@ -39,7 +41,8 @@ class ShootingConfig(Checked):
         "Temperature of the returns by which random shooting chooses: an action is worth t log "
         "mean exp(return / t) of the sequences that begin with it. 0 goes by the best of them, "
         "infinity by their mean: what is safe whatever follows wins over what a single sequence "
-        "gets away with.", at_least=0, infinite=True)  # fmt: skip
+        "gets away with. In a Box no two begin alike: the best sequence wins.", at_least=0,
+        infinite=True)  # fmt: skip
     particles: int = setting(
         1, "Episodes that a sequence is judged by, for a world that is random.", at_least=1
     )
@@ -52,8 +55,8 @@ class CrossEntropyConfig(ShootingConfig):
     iterations: int = setting(3, "Rounds of so many candidates each.", at_least=1)
     elites: int = setting(8, "Best candidates of a round, which the next is like.", at_least=1)
     floor: float = setting(
-        0.1, "Least probability of an action in the next round, shared by all actions.", above=0,
-        at_most=1)  # fmt: skip
+        0.1, "Least probability of an action in the next round, shared by all actions; in a Box "
+        "least standard deviation, over half its width.", above=0, at_most=1)  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -73,7 +76,7 @@ def score(
         env_params: its parameters.
         obs: what is seen first, ``[*obs]``.
         state: the world's state that is seen so.
-        actions: int ``[H]``.
+        actions: ``[H, ...]``.
         key: random key.
         discount: scalar in [0, 1].
         value: of where it is left; None: 0.
@@ -103,17 +106,18 @@ def score(
 
 def random_shooting(env: Environment, config: ShootingConfig) -> Planner:
     """The best of random sequences in ``env``, true or learned; the first of equally good ones."""
-    judge = _judge(env, config)
+    judge, space = _judge(env, config), actions_of(env)
 
     def plan(
         env_params: Any, obs: jax.Array, state: Any, key: Key, guide: Guide = Guide()
     ) -> Decision:
         key_draw, key_score = jax.random.split(key)
-        actions = _first_candidates(env.num_actions, config, key_draw)
+        actions = space.sequences(key_draw, (config.candidates, config.horizon), config.drift)
         returns = judge(env_params, obs, state, actions, key_score, guide.value)
-        worth = _worth(actions[:, 0], returns, env.num_actions, config.temperature)
-        action = jnp.argmax(worth).astype(jnp.int32)
-        return Decision(action, worth[action])
+        choices = space.choices(actions[:, 0])
+        worth = _worth(choices, actions[:, 0], returns, config.temperature)
+        best = jnp.argmax(worth)
+        return Decision(choices[best].astype(space.dtype), worth[best])
 
     return plan
 
@@ -121,14 +125,11 @@ def random_shooting(env: Environment, config: ShootingConfig) -> Planner:
 def cross_entropy(env: Environment, config: CrossEntropyConfig) -> Planner:
     """The cross-entropy method (Rubinstein 1999; Botev et al. 2013): rounds of sequences, each
     round's actions drawn with the frequencies that they have, at each step, in the best sequences
-    of the round before. The first action of the best sequence of all rounds is done.
+    of the round before, or in a Box with their means and standard deviations. The first action of
+    the best sequence of all rounds is done.
     """
-    judge, num_actions = _judge(env, config), env.num_actions
-
-    def refine(frequency: jax.Array, key: Key) -> jax.Array:
-        odds = (1 - config.floor) * frequency + config.floor / num_actions
-        shape = (config.candidates, config.horizon)
-        return jax.random.categorical(key, jnp.log(odds), shape=shape)
+    judge, space = _judge(env, config), actions_of(env)
+    shape = (config.candidates, config.horizon)
 
     def plan(
         env_params: Any, obs: jax.Array, state: Any, key: Key, guide: Guide = Guide()
@@ -136,18 +137,19 @@ def cross_entropy(env: Environment, config: CrossEntropyConfig) -> Planner:
         def consider(best: Decision, actions: jax.Array, key: Key) -> tuple[Decision, jax.Array]:
             returns = judge(env_params, obs, state, actions, key, guide.value)
             values, rows = jax.lax.top_k(returns, config.elites)
-            new = Decision(actions[rows[0], 0].astype(jnp.int32), values[0])
+            new = Decision(actions[rows[0], 0].astype(space.dtype), values[0])
             better = new.value > best.value
-            return where(better, new, best), jax.nn.one_hot(actions[rows], num_actions).mean(0)
+            return where(better, new, best), space.like(actions[rows], config.floor)
 
         def again(carry, _):
-            best, frequency, key = carry
+            best, outputs, key = carry
             key, key_draw, key_score = jax.random.split(key, 3)
-            return (*consider(best, refine(frequency, key_draw), key_score), key), None
+            actions = space.clip(space.sample(key_draw, outputs, shape))
+            return (*consider(best, actions, key_score), key), None
 
         key_draw, key_score, key_rounds = jax.random.split(key, 3)
-        nothing = Decision(jnp.int32(0), -jnp.float32(jnp.inf))
-        first = consider(nothing, _first_candidates(num_actions, config, key_draw), key_score)
+        nothing = Decision(jnp.zeros(space.shape, space.dtype), -jnp.float32(jnp.inf))
+        first = consider(nothing, space.sequences(key_draw, shape, config.drift), key_score)
         rounds = config.iterations - 1
         return jax.lax.scan(again, (*first, key_rounds), length=rounds)[0][0]
 
@@ -155,12 +157,13 @@ def cross_entropy(env: Environment, config: CrossEntropyConfig) -> Planner:
 
 
 def _worth(
-    action: jax.Array, returns: jax.Array, num_actions: int, temperature: float
+    choices: jax.Array, first: jax.Array, returns: jax.Array, temperature: float
 ) -> jax.Array:
-    """What first actions are worth ``[A]`` by the returns of sequences ``[candidates]``; -inf for
-    one that was not tried. Information-theoretic control (Williams et al. 2017), action by action.
+    """What each of the choices ``[A, ...]`` is worth ``[A]``, by the returns of sequences
+    ``[candidates]`` and their first actions ``[candidates, ...]``; -inf for one that was not tried.
+    Information-theoretic control (Williams et al. 2017), action by action.
     """
-    own = action == jnp.arange(num_actions)[:, None]
+    own = (first == choices[:, None]).reshape(len(choices), len(first), -1).all(-1)
     tried = jnp.where(own, returns, -jnp.inf)
     if temperature == 0:
         return tried.max(-1)
@@ -171,17 +174,9 @@ def _worth(
     return temperature * (jax.nn.logsumexp(tried / temperature, -1) - jnp.log(count))
 
 
-def _first_candidates(num_actions: int, config: ShootingConfig, key: Key) -> jax.Array:
-    """Sequences ``[candidates, horizon]`` drawn without knowing anything."""
-    key_odds, key_actions = jax.random.split(key)
-    odds = config.drift * jax.random.normal(key_odds, (config.candidates, 1, num_actions))
-    shape = (config.candidates, config.horizon)
-    return jax.random.categorical(key_actions, odds, shape=shape)
-
-
 def _judge(env: Environment, config: ShootingConfig):
-    """Returns ``[candidates]`` of sequences ``[candidates, horizon]``, means over particles; what
-    is not finite is worst.
+    """Returns ``[candidates]`` of sequences ``[candidates, horizon, ...]``, means over particles;
+    what is not finite is worst.
     """
 
     def judge(env_params, obs, state, actions, key, value):

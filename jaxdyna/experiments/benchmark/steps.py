@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxdyna.actions import actions_of
 from jaxdyna.envs import CartPole, Maze
 from jaxdyna.envs.gymnasium import gymnasium
 from jaxdyna.experiments.benchmark.others import EXAMPLES, rival
@@ -90,7 +91,7 @@ def at_random(env: Environment, count: int, key: Key) -> Any:
     once, a start for as many steps as no episode is shorter than.
     """
     params, (key_step, key_actions, key_resets) = env.default_params, jax.random.split(key, 3)
-    actions = jax.random.randint(key_actions, (STEPS, count), 0, env.num_actions)
+    actions = actions_of(env).uniform(key_actions, (STEPS, count))
     keys = jax.random.split(key_resets, (1 + STEPS // SHORTEST, count))
     resets = jax.vmap(jax.vmap(env.reset, (0, None)), (0, None))(keys, params)
     first = jax.tree.map(itemgetter(0), resets)
