@@ -25,6 +25,7 @@ from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
+from jaxdyna.actions import Box, actions_of
 from jaxdyna.envs.named import FORMS, named, whole
 from jaxdyna.experiments.engine import cli, programs
 from jaxdyna.experiments.engine.loaded import load
@@ -36,7 +37,7 @@ PROG = "python -m jaxdyna.play"
 TYPED = re.compile(rb"\x1b[\[O][\d;]*(.)|([^\x1b])")
 ARROWS = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
 LETTERS = {b" ": "space", b"\x04": "q"}
-WORLDS = f"maze, cartpole, pong, catch, {FORMS}"
+WORLDS = f"maze, cartpole, pong, catch, pendulum, {FORMS}"
 GAP, LINES = 2, 4  #: columns between two pictures, and lines of text
 
 
@@ -87,11 +88,19 @@ def watched(call: Call) -> tuple[Any, Scene]:
     return run.env, scene
 
 
-def keys_of(env: Any) -> dict[str, int]:
+def keys_of(env: Any) -> dict[str, Any]:
     """Actions by key: their digits, and what the world says; where it says nothing and has two or
-    three, the first and the last are left and right.
+    three, the first and the last are left and right. Of a Box of one number left is the lowest,
+    space the middle, right the highest; `ValueError` for a larger one.
     """
-    count = env.num_actions
+    actions = actions_of(env)
+    if isinstance(actions, Box):
+        if actions.shape != (1,):
+            raise ValueError(f"{type(env).__name__} takes {actions.shape[0]} numbers a step, and a "
+                             "key is one: play a world of numbered actions")  # fmt: skip
+        ends = np.array([actions.low, actions.high], np.float32)
+        return {"left": ends[0], "space": ends.mean(0), "right": ends[1]}
+    count = actions.n
     few = {"left": 0, "right": count - 1} | ({"space": 1} if count == 3 else {})
     own = getattr(getattr(env, "env", env), "keys", {}) or (few if count in (2, 3) else {})
     return {str(action): action for action in range(min(count, 10))} | dict(own)
@@ -113,7 +122,7 @@ def keyboard() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def steer(scene: Scene, actions: Mapping[str, int], live: Live) -> None:
+def steer(scene: Scene, actions: Mapping[str, Any], live: Live) -> None:
     """Plays episodes, by keys, until one of them says that it is over."""
     episode = 0
     scene.begin(episode)
@@ -141,7 +150,7 @@ def pressed() -> list[str]:
     return names if typed else ["q"]  # the terminal is gone
 
 
-def screen(shots: Mapping[str, Shot], actions: Mapping[str, int], console: Console) -> Group:
+def screen(shots: Mapping[str, Shot], actions: Mapping[str, Any], console: Console) -> Group:
     """The sides, each under its caption, and the keys."""
     width = (console.width + GAP) // len(shots) - GAP
     sides = Table.grid(padding=(0, GAP, 0, 0))
@@ -149,7 +158,9 @@ def screen(shots: Mapping[str, Shot], actions: Mapping[str, int], console: Conso
     sides.add_row(*(picture(frame, width, console.height - LINES) for frame, _ in shots.values()))
     own = " ".join(key for key in actions if not key.isdigit())
     dream = "d: dream from here  " if len(shots) > 1 else ""
-    keys = f"{own} 0-{max(actions.values())}: act  n: new episode  {dream}q: leave"
+    digits = [key for key in actions if key.isdigit()]
+    own += f" 0-{digits[-1]}" * bool(digits)
+    keys = f"{own}: act  n: new episode  {dream}q: leave"
     return Group(sides, Text(), Text(keys, no_wrap=True))
 
 

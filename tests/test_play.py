@@ -20,7 +20,7 @@ import pytest
 from rich.console import Console
 
 from jaxdyna import play
-from jaxdyna.envs import CartPole, Catch, FrameStack, Maze, Pong
+from jaxdyna.envs import CartPole, Catch, FrameStack, Maze, Pendulum, Pong
 from jaxdyna.watched import Scene
 
 TODAY = Path(__file__).parent / "data" / "kept"
@@ -208,6 +208,7 @@ def test_keys():
     assert play.keys_of(CartPole()) == {"0": 0, "1": 1, "left": 0, "right": 1}
     assert play.keys_of(Catch())["right"] == 2 and play.keys_of(Catch())["space"] == 1
     assert play.keys_of(Pong())["up"] == 2 and "left" not in play.keys_of(Pong())
+    assert play.keys_of(Pendulum()) == {"left": -2, "space": 0, "right": 2}
 
 
 @pytest.mark.parametrize(
