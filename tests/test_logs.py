@@ -293,6 +293,11 @@ def test_who_is_missing_is_named_before_anything_is_played(
     assert not (tmp_path / "out").exists()
 
 
+def test_there_is_a_logger_for_each_run(leaving):
+    with pytest.raises(ValueError, match="log has 1 loggers for 22 runs: give one a run"):
+        pieces(LEAVING_ARMS, MANY, programs=leaving[2], log=[Recorder()])
+
+
 def test_progress_from_python(leaving, capsys):
     """Lines, where there is no terminal."""
     runs = runs_of(LEAVING_ARMS[:1], [0, 1], 0)

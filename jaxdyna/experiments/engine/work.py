@@ -194,6 +194,8 @@ class Engine:
             Exception: of the first block that fails; the others are saved after their pieces.
         """
         work, count = self._asked(work), len(runs.seed)
+        if log and len(log) != count:
+            raise ValueError(f"log has {len(log)} loggers for {count} runs: give one a run")
         collected = work.collect(runs) if work.collect else None
         began = time.perf_counter()
         where = places(self.workers)[: -(-count // work.block)]
