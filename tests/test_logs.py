@@ -97,7 +97,7 @@ def test_killed_anywhere_no_line_is_lost_or_doubled(leaving, tmp_path, monkeypat
     folder, random, left = tmp_path / "now", np.random.default_rng(0), []
 
     def killed(torn=""):
-        if random.random() < 0.05 and len(left) < 6:
+        if random.random() < 0.05 and len(left) < 4:
             left.append(Path(shutil.copytree(folder, tmp_path / str(len(left)))))
             with (left[-1] / progress.LOG).open("a") as file:
                 file.write(torn[: len(torn) // (1 + len(left) % 2)])
@@ -115,7 +115,7 @@ def test_killed_anywhere_no_line_is_lost_or_doubled(leaving, tmp_path, monkeypat
 
     logged(folder, programs, [Killing], Saving)
     whole = lines(folder)
-    assert len(whole) > 80 and len(left) == 6
+    assert len(whole) > 80 and len(left) == 4
     for copy in left:
         progress.gather([copy], copy)
         known, (recording, told) = lines(copy), recorders()
