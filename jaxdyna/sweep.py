@@ -19,8 +19,9 @@ def sweep(
     train: Callable[[Key, Any], PyTree], keys: Key, hparams: Any, block: int | None = None
 ) -> PyTree:
     """Runs ``train(key, hparams)`` for every setting and seed in one jitted call. The seeds are
-    dealt out equally to as many of `jax.devices` as their number can be divided by. `ValueError`
-    where the swept leaves differ in length, or another argument cannot be.
+    dealt out equally to as many of `jax.devices` as their number can be divided by. Nothing is said
+    until the end; `jaxdyna.experiments.engine.Engine.play` plays runs in pieces, with progress.
+    `ValueError` where the swept leaves differ in length, or another argument cannot be.
 
     Args:
         train: a pure function; the same function object compiles once per shape.

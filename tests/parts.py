@@ -1,5 +1,7 @@
 """Small parts that several tests put together."""
 
+import json
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -102,3 +104,12 @@ def returns_of(env, agent, hparams, steps, episodes):
         return jax.lax.scan(episode, start, length=episodes)[1]
 
     return train(jax.random.key(0))
+
+
+def lines(folder):
+    """Of the log in a run's folder, without the time; none is there twice."""
+    said = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    assert all(line.pop("time") > 1e9 for line in said)
+    by_run = {(line["arm"], line["seed"], line["step"]): line for line in said}
+    assert len(by_run) == len(said)
+    return by_run

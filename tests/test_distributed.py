@@ -14,6 +14,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from parts import lines
 from pole import PARTS
 
 from jaxdyna.experiments.engine import distributed, folders, main, storage
@@ -74,6 +75,10 @@ def same(out, whole):
     assert ours.files == whole.files
     for name in whole.files:
         np.testing.assert_array_equal(ours[name], whole[name], err_msg=name)
+    ends = [int(np.isfinite(one).sum()) for one in whole["model_free/real_return"]]
+    wanted = {("model_free", seed, step) for seed, end in enumerate(ends)
+              for step in range(2, end + 1, 2)}  # fmt: skip
+    assert lines(out).keys() == wanted and len(list(out.glob("log*"))) == 1
     assert not {"checkpoints", ".lock"} & {path.name for path in out.iterdir()}
 
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import tiny
-from parts import DYNA, MODEL, MODEL_FREE, SMALL, hparams
+from parts import DYNA, MODEL, MODEL_FREE, SMALL, hparams, lines
 from renamed import respelled
 
 from jaxdyna.dyna.conditional import unknown
@@ -630,6 +630,7 @@ def test_killed_ten_times_and_resumed_is_uninterrupted(name, tmp_path):
         assert ours.files == whole.files
         for array in ours.files:
             np.testing.assert_array_equal(ours[array], whole[array], err_msg=array)
+        assert lines(out) == lines(tmp_path / "whole")
         if kills == 10:
             break
     assert kills == 10 and len(found) > 1

@@ -29,6 +29,7 @@ def record(folder, number=1, **whose):
     (folder / "curves.npz").write_bytes(b"curves %d" % number)
     (folder / "report.md").write_text(REPORT)
     (folder / "returns.png").write_bytes(b"png %d" % number)
+    (folder / "log.jsonl").write_text(f'{{"step": {number}}}\n')
     return tree(folder)
 
 
@@ -110,9 +111,9 @@ def test_no_generation_is_lost_and_what_else_lies_there_stays(tmp_path):
     assert (tmp_path / "previous" / "notes.txt").read_text() == "the user's"
 
 
-@pytest.mark.parametrize("moves", range(6))
+@pytest.mark.parametrize("moves", range(7))
 def test_killed_between_any_two_moves_nothing_is_lost(moves, tmp_path, monkeypatch):
-    """Four files and their folder's name: it dies before each of these five moves, or after."""
+    """Five files and their folder's name: it dies before each of these six moves, or after."""
     from pathlib import Path  # noqa: PLC0415
 
     before, rename, done = record(tmp_path), Path.rename, []
@@ -124,7 +125,7 @@ def test_killed_between_any_two_moves_nothing_is_lost(moves, tmp_path, monkeypat
         return rename(self, target)
 
     monkeypatch.setattr(Path, "rename", dying)
-    if moves < 5:
+    if moves < 6:
         with pytest.raises(KeyboardInterrupt):
             claim(tmp_path, WHOSE, False)
     else:
@@ -142,15 +143,16 @@ def test_what_version_control_has_is_not_kept_aside(tmp_path):
 
     record(tmp_path)
     git("init")
-    git("add", ".")
+    git("add", "--", ":!log.jsonl")
     git("commit", "-m", "recorded")
     (tmp_path / "curves.npz").write_bytes(b"other")
     claim(tmp_path, WHOSE, False)  # not as it was committed
     assert len(list((tmp_path / "previous").iterdir())) == 1
     git("checkout", ".")
+    (tmp_path / "log.jsonl").write_text("{}")
     claim(tmp_path, WHOSE, False)
     assert len(list((tmp_path / "previous").iterdir())) == 1
-    assert not (tmp_path / "results.json").exists()
+    assert not {"results.json", "log.jsonl"} & {path.name for path in tmp_path.iterdir()}
 
 
 HOLD = """

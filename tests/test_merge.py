@@ -6,6 +6,7 @@ import shutil
 import jax
 import numpy as np
 import pytest
+from parts import lines
 from pole import PARTS
 
 from jaxdyna.experiments import merge
@@ -70,6 +71,7 @@ def test_shards_put_together_are_the_whole(shards, whole, turned, tmp_path):
     assert [path.stem for path in policies] == ["0", "1", "2", "3"]
     for path in policies:
         assert (out / path).read_bytes() == (whole / path).read_bytes()
+    assert lines(out) == lines(whole)
     images = {path.name for path in whole.glob("*.png")}
     assert images and images == {path.name for path in out.glob("*.png")}
     assert (out / "report.md").read_text().startswith("# Pole\n")

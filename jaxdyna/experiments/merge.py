@@ -10,6 +10,7 @@ from pathlib import Path
 import tyro
 
 from jaxdyna.experiments.engine import Curves, Experiment, Record, Results, cli, folders, storage
+from jaxdyna.experiments.engine.progress import BOARD, gather
 from jaxdyna.experiments.engine.record import different, recorded, results_of, write_report
 from jaxdyna.experiments.engine.trained import FOLDER
 from jaxdyna.experiments.engine.work import SHOWN, joined
@@ -46,9 +47,10 @@ def merge(call: Call, argv: Sequence[str]) -> int:
     experiment, record = _merged(shards, f"{PROG} {shlex.join(argv)}", call.out)
     with folders.held(call.out):
         folders.claim(call.out, {name: record.results[name] for name in WHOSE}, fresh=False)
-        for kept in (folder / FOLDER for folder in shards):
-            if kept.is_dir():
-                shutil.copytree(kept, call.out / FOLDER, dirs_exist_ok=True)
+        for left in (folder / name for folder in shards for name in (FOLDER, BOARD)):
+            if left.is_dir():
+                shutil.copytree(left, call.out / left.name, dirs_exist_ok=True)
+        gather([*shards], call.out)
         whose = storage.identity(record.results)
         storage.write_curves(call.out / "curves.npz", record.curves, whose)
         storage.write_json(call.out / "results.json", record.results)

@@ -16,13 +16,14 @@ from typing import Annotated, Any, NoReturn, TypeVar, get_args
 import tyro
 
 from jaxdyna import fields
+from jaxdyna.experiments.engine.progress import TRACKERS
 from jaxdyna.fields import Leaf, SettingError, setting
 
 O = TypeVar("O")  # noqa: E741
 NOT_SWEPT = (
     "seeds", "seed", "arms", "out", "episodes", "stop_after_solved", "block", "preset", "quick",
     "part", "resume", "fresh", "shard", "sweep", "from", "cache", "distributed",
-    "keep_runs", "film")  # fmt: skip
+    "keep_runs", "film", "log")  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +51,9 @@ class Call:
         10, "runs of each arm, the first ones, whose policy and model are kept for jaxdyna.load; "
         "0: none", at_least=0)  # fmt: skip
     film: bool = setting(False, "shows in the report an episode of what each arm has learned")
+    log: tuple[str, ...] = setting(
+        (), "who beside log.jsonl is told how each arm's first ten runs do", choices=[*TRACKERS]
+    )
     shard: str | None = setting(
         None, "I/N: the I-th of N equal parts of the runs; `merge` puts them together"
     )

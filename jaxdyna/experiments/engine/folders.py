@@ -14,12 +14,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from jaxdyna.experiments.engine import storage
+from jaxdyna.experiments.engine import progress, storage
 from jaxdyna.experiments.engine.checkpoint import checkpoints_below
 from jaxdyna.experiments.engine.trained import FOLDER
 
 LOCK, PREVIOUS, PARTS, CHECKPOINTS = ".lock", "previous", "parts", "checkpoints"
 PAGE = "report.html"
+UNKEPT = PAGE, progress.LOG  #: in the lab book
 FIGURE = re.compile(r"!\[[^\]]*\]\(([^()/]+)\)")
 MOVING = ".moving"
 
@@ -118,11 +119,13 @@ def clear(checkpoints: Path) -> None:
 
 def files(folder: Path) -> list[Path]:
     """What a record in this folder consists of: the figures are those that its report shows; what
-    is kept is a folder; ``results.json``, which tells whose it is, comes last.
+    is kept, and who was told of it, are folders; ``results.json``, which tells whose it is, comes
+    last.
     """
     report = folder / "report.md"
     shown = FIGURE.findall(report.read_text(encoding="utf-8")) if report.is_file() else []
-    names = dict.fromkeys([*shown, PAGE, "report.md", FOLDER, "curves.npz", "results.json"])
+    told = PAGE, "report.md", FOLDER, *progress.LEFT
+    names = dict.fromkeys([*shown, *told, "curves.npz", "results.json"])
     return [folder / name for name in names if (folder / name).exists()]
 
 
@@ -131,7 +134,7 @@ def _set_aside(folder: Path) -> None:
     kill in between leaves what the next run moves on.
     """
     record = files(folder)
-    if _in_version_control(folder, [file for file in record if file.name != PAGE]):
+    if _in_version_control(folder, [file for file in record if file.name not in UNKEPT]):
         for file in record:
             file.unlink()
         return

@@ -24,12 +24,11 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from jaxdyna import fields
-from jaxdyna.experiments.engine import cli, folders, programs, storage, trained, work
+from jaxdyna.experiments.engine import cli, folders, programs, progress, storage, trained, work
 from jaxdyna.experiments.engine.checkpoint import Store, checkpoints_below
 from jaxdyna.experiments.engine.distributed import Processes, taken
 from jaxdyna.experiments.engine.experiment import Entry, Experiment, Record, Study, chosen, entries
 from jaxdyna.experiments.engine.loaded import load
-from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.record import (
     different,
     home_of,
@@ -47,8 +46,9 @@ FROM = ("part", "preset")
 
 
 def main(
-    *parts: Experiment | Study, argv: Sequence[str] | None = None, prog: str | None = None
-) -> int:
+    *parts: Experiment | Study, argv: Sequence[str] | None = None, prog: str | None = None,
+    log: Sequence[progress.Tracker] = (),
+) -> int:  # fmt: skip
     """Runs an experiment from the command line and returns the exit code: 0, 130 after Ctrl-C, 1
     where another process of the run was lost. `SystemExit` with code 2 and one line on bad input,
     with 0 after ``--help``.
@@ -57,6 +57,7 @@ def main(
         parts: what ``--part`` chooses from by name; the first is the default.
         argv: the arguments, by default the process's.
         prog: the command as the user types it.
+        log: who is told of the first runs of each arm, beside those that ``--log`` names.
     """
     cli.spell_out()
     if argv is None:  # a process of its own: tracing need not search what was imported for garbage
@@ -70,7 +71,7 @@ def main(
             if said is not None:
                 processes.found(said, stack)
             session = replace(prepared(parts, argv, prog), processes=processes)
-            session.begin(stack)
+            session.begin(stack, log)
         except SettingError as error:
             cli.fail(f"{cli.flag_of(error, argv)} {error.said}", prog)
         except (ValueError, ImportError) as error:
@@ -125,7 +126,7 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     return Session(
         experiment, options, every, call.out or out, command, call.resume, call.fresh, call.shards,
         sweep, family=parts[0].name, cache=call.cache, keep=call.keep_runs, film=call.film,
-        part=part)  # fmt: skip
+        part=part, told=call.log)  # fmt: skip
 
 
 def _earlier(call: cli.Call, name: str) -> Results:
@@ -171,11 +172,12 @@ class Session:
     keep: int = 0  #: of how many runs of each arm it is kept what they have learned
     film: bool = False  #: whether that is filmed
     part: Experiment | Study | None = None  #: what ``main`` was given
+    told: Sequence[str] = ()  #: who is told of the first runs, by name
     console: Console = field(
         default_factory=lambda: Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     )
 
-    def begin(self, stack: ExitStack) -> None:
+    def begin(self, stack: ExitStack, log: Sequence[progress.Tracker] = ()) -> None:
         """Makes the arms, takes the folder, until the stack is closed, for this process alone, and
         takes up what is there or sets it aside; `ValueError` with what to change.
         """
@@ -192,8 +194,10 @@ class Session:
             raise ValueError("--shard has more parts than there are --seeds: give fewer")
         self.entries = chosen(self.every, self.options.arms)
         self.arms = {entry.name: entry.make() for entry in self.entries}
+        self.trackers = [*progress.trackers(self.told), *log]
         with self.processes.after_first():
             self._take_folder(stack)
+        self.logged = progress.logged(self.out)
 
     def _take_folder(self, stack: ExitStack) -> None:
         first = self.processes.first
@@ -213,6 +217,7 @@ class Session:
         if first:
             self.checkpoints.mkdir(exist_ok=True)
             storage.write_json(self.checkpoints / "settings.json", self.identity() | self.made)
+            progress.gather([self.out], self.out)
             if self.processes.of > 1:
                 folders.share(lock)
 
@@ -276,7 +281,7 @@ class Session:
                 together.setdefault((entry.arm, program), []).append(entry)
         counts = Counter(arm for arm, _ in together)
         groups = {_group_name(group, counts): group for group in together.values()}
-        works, stores, totals = {}, {}, {}
+        works, stores, totals, told = {}, {}, {}, {}
         for name, group in groups.items():
             played = [arms[entry.name] for entry in group]
             runs = work.runs_of(played, self.seeds, self.options.seed)
@@ -286,10 +291,11 @@ class Session:
                 works[name] = played[0].work, runs.only(rows)
                 stores[name] = Store(folder, self.console.print, rows)
                 totals[name] = int(works[name][1].units.max()), len(rows)
+                told[name] = self._told(group, rows)
         names = [*works]
         at_once = min(storage.cores(), COMPILED)
         console = self.console if self.processes.first else Console(quiet=True)
-        with Bars(console, totals) as bars:
+        with progress.Bars(console, totals) as bars:
             for ahead in (names[at : at + at_once] for at in range(0, len(names), at_once)):
                 for name in ahead:
                     bars.tell(name, "compiling", 0, 0)
@@ -297,9 +303,13 @@ class Session:
                 for name in ahead:
                     bars.tell(name, "waiting", 0, 0)
                 for name in ahead:
-                    done = engine.play(
-                        *works[name], self._over(), stores[name], partial(bars.tell, name)
-                    )
+                    say = partial(bars.tell, name)
+                    with ExitStack() as stack:
+                        for run in told[name]:
+                            stack.callback(run.close)
+                        done = engine.play(
+                            *works[name], self._over(), stores[name], say, told[name]
+                        )
                     length = max(
                         (len(run.get("real_return", ())) for run in done.curves), default=0
                     )
@@ -312,6 +322,15 @@ class Session:
         if self.processes.of > 1 and self.processes.first:
             for name, group in groups.items():
                 self._keep(group, stores[name].gathered(len(group) * len(self.seeds)))
+
+    def _told(self, group: Sequence[Entry], rows: Sequence[int]) -> list[progress.Log]:
+        """The logs of some runs of a group."""
+        runs = [(entry, seed) for entry in group for seed in self.seeds]
+        return [
+            progress.Log(self.out / progress.LOG, entry.name, seed, entry.options, self.trackers,
+                     self.logged.get((entry.name, seed), 0))
+            for entry, seed in (runs[row] for row in rows)
+        ]  # fmt: skip
 
     def _keep(self, group: Sequence[Entry], curves: Sequence[work.Curves]) -> None:
         """Takes up and writes what has been played of entries, run by run."""

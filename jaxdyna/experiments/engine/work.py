@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -154,6 +154,13 @@ class Interrupted(KeyboardInterrupt):
 Progress = Callable[[str, int, int], None]  #: ``(stage, units done, runs over)``
 
 
+class Logger(Protocol):
+    """Whoever is told of a run, from any thread, but by one at a time."""
+
+    def log(self, step: int, scalars: Mapping[str, float]) -> None:
+        """The means of its metrics over a piece that ends at this unit, those that are finite."""
+
+
 @dataclass
 class Engine:
     """Plays works and keeps their programs."""
@@ -169,7 +176,7 @@ class Engine:
 
     def play(
         self, work: Work, runs: Runs, over: Over | None = None, store: Store | None = None,
-        say: Progress = lambda *_: None,
+        say: Progress = lambda *_: None, log: Sequence[Logger] = (),
     ) -> Played:  # fmt: skip
         """Plays runs to their ends.
 
@@ -178,7 +185,8 @@ class Engine:
             runs: whose; padded to whole blocks with copies.
             over: when a run is over before its last unit; None never.
             store: where checkpoints lie; None keeps none: a library call.
-            say: is told how far it is, from any thread.
+            say: is told how far it is, from any thread; `progress.shown` draws it.
+            log: who is told of each run, one a run; nobody by default.
 
         Raises:
             Interrupted: after Ctrl-C.
@@ -186,6 +194,8 @@ class Engine:
             Exception: of the first block that fails; the others are saved after their pieces.
         """
         work, count = self._asked(work), len(runs.seed)
+        if log and len(log) != count:
+            raise ValueError(f"log has {len(log)} loggers for {count} runs: give one a run")
         collected = work.collect(runs) if work.collect else None
         began = time.perf_counter()
         where = places(self.workers)[: -(-count // work.block)]
@@ -196,7 +206,7 @@ class Engine:
         compile_s = time.perf_counter() - began + self.prepared.pop(work, 0.0)
         tally = _Tally(say, count, store.seconds() if store else 0.0)
         pool = _Pool(
-            runs, collected, over, store, tally, programs, where, self.interrupted, self.keep
+            runs, collected, over, store, tally, programs, where, self.interrupted, self.keep, log
         )
         with ThreadPoolExecutor(len(where)) as threads:
             workers = [threads.submit(pool.serve, place) for place in where]
@@ -361,6 +371,7 @@ class _Pool:
     where: Sequence[jax.Device]
     interrupted: threading.Event
     keep: int
+    log: Sequence[Logger]
 
     def __post_init__(self) -> None:
         self.lock, self.failed = threading.Lock(), threading.Event()
@@ -515,6 +526,7 @@ class _Block:
             for name, values in new.items()
         }
         self.done += count
+        self._log()
         played, ended = len(self.live), self._ended()
         for row in ended:
             curves = self._judged(row, self.live.pop(row))
@@ -525,6 +537,16 @@ class _Block:
         self.pool.tally.add(count * played, len(ended))
         if self.live and self.pool.store and self.pool.store.due(self.saved_s):
             self.save()
+
+    def _log(self) -> None:
+        """Tells of each run's last piece, where `_ended` looks."""
+        whole, units = self.done % self.work.piece == 0, self.pool.runs.units
+        first = (self.done - 1) // self.work.piece * self.work.piece
+        for row, lane in self.live.items():
+            if self.pool.log and (whole or units[row] == self.done):
+                means = _means({name: each[lane, first:] for name, each in self.pieces.items()})
+                with self.pool.tally.lock:
+                    self.pool.log[row].log(self.done, means)
 
     def _ended(self) -> list[int]:
         """Its runs that have just come to their ends. Looked at after whole pieces and after a
@@ -569,6 +591,18 @@ class _Block:
 
     def _put(self, tree: Any) -> Any:
         return jax.device_put(tree, self.program.place)
+
+
+def _means(metrics: Curves) -> dict[str, float]:
+    """Of a run's metrics that are numbers, over what is finite, up to where it breaks."""
+    broken, means = metrics.get(DIVERGED, np.zeros(1)), {}
+    whole = np.cumsum(broken) <= broken
+    for name, values in metrics.items():
+        if values.ndim == 1 and not name.startswith(SHOWN):
+            counted = values[whole & np.isfinite(values)]
+            if counted.size:
+                means[name] = float(counted.mean(dtype=np.float64))
+    return means
 
 
 def _said(values: Any) -> np.ndarray:
