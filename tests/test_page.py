@@ -83,7 +83,7 @@ def test_the_page_is_whole_and_loads_nothing(tmp_path):
     figure, panel = plots.subplots(figsize=(plots.WIDTH, 4))
     panel.plot([1, 2], label="a")
     plots.save(figure, tmp_path / "returns.png")
-    frames.film(tmp_path / "film.gif", {"episode": np.zeros((2, 4, 4, 3), np.uint8)})
+    frames.film(tmp_path / "film.gif", {"episode": [(np.zeros((4, 4, 3), np.uint8), "")] * 2})
     text = (
         "# A <b> & co\n\n`it --arms 'a<b'`\n\n**Bold** <img src=x> [more](report.md)\n\n"
         f"| arm | is |\n| --- | --- |\n| {ODD} | 5 |\n\n![of <i>](returns.png)\n\n"
