@@ -91,9 +91,10 @@ def at_steps(record: Any) -> str:
     """What the policies are worth after so many real steps; empty where none was evaluated."""
     arms = {name: arm["frozen"]["snapshots"] for name, arm in record.results["arms"].items()
             if "frozen" in arm}  # fmt: skip
-    if not arms:
+    known = {step for arm in arms.values() for step in arm if arm[step]["mean"] is not None}
+    if not known:
         return ""
-    steps = sorted({step for arm in arms.values() for step in arm}, key=int)[-SHOWN:]
+    steps = sorted(known, key=int)[-SHOWN:]
     rows = [
         [name, *(with_interval(arm[step], 1) if step in arm else "-" for step in steps)]
         for name, arm in arms.items()]  # fmt: skip
