@@ -113,13 +113,16 @@ def keyboard() -> Iterator[None]:
     def end(number: int, frame: Any) -> None:
         sys.exit(128 + number)
 
-    modes, before = termios.tcgetattr(sys.stdin), signal.signal(signal.SIGTERM, end)
+    modes = termios.tcgetattr(sys.stdin)
+    ends = {signal.SIGTERM: end, signal.SIGINT: signal.default_int_handler}
+    before = {number: signal.signal(number, handler) for number, handler in ends.items()}
     try:
         tty.setcbreak(sys.stdin)
         yield
     finally:
         termios.tcsetattr(sys.stdin, termios.TCSAFLUSH, modes)
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def steer(scene: Scene, actions: Mapping[str, Any], live: Live) -> None:
