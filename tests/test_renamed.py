@@ -1,6 +1,5 @@
 """Recorded commands, and those in the texts, parse today, and to what was recorded."""
 
-import importlib
 import json
 import re
 import shlex
@@ -11,6 +10,7 @@ from renamed import respelled, respelled_settings
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine.distributed import taken
+from jaxdyna.experiments.engine.record import command_of
 from jaxdyna.experiments.engine.session import prepared
 
 ROOT = Path(__file__).parents[1]
@@ -26,8 +26,8 @@ NO_EXPERIMENT = "(?:merge|record|evaluate|compare|any)"
 
 def parsed(module, arguments):
     """The settings that a command line comes to."""
-    parts = importlib.import_module(f"jaxdyna.experiments.{module}").PARTS
-    return prepared(parts, taken(arguments)[0], f"{PROG}{module}").options
+    parts, flags, prog = command_of(f"jaxdyna.experiments.{module}", *taken(arguments)[0])
+    return prepared(parts, flags, prog).options
 
 
 def commands(text):
