@@ -77,6 +77,9 @@ class Discrete:
         return jnp.log((1 - floor) * frequency + floor / self.n)
 
 
+LOG_STD = -5.0, 2.0  #: the least and the most that a policy's deviation is
+
+
 @dataclass(frozen=True)
 class Box:
     """A vector within bounds, float32 ``[n]``; a world takes what is beyond them as clipped. A
@@ -87,6 +90,15 @@ class Box:
     low: tuple[float, ...]
     high: tuple[float, ...]
     dtype: ClassVar[Any] = jnp.float32
+
+    def __post_init__(self) -> None:
+        """Makes the bounds tuples; `ValueError` where they are none."""
+        low, high = np.atleast_1d(self.low, self.high)
+        if low.shape != high.shape or low.ndim != 1 or not _bounded(low, high):
+            raise ValueError(f"a Box from {self.low} to {self.high}: give as many finite bounds "
+                             "low as high, each low one below its high one")  # fmt: skip
+        object.__setattr__(self, "low", tuple(low.tolist()))
+        object.__setattr__(self, "high", tuple(high.tolist()))
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -107,7 +119,7 @@ class Box:
         """Means and standard deviations, of the actions themselves."""
         middle, half = self._units
         mean, log_std = jnp.split(outputs, 2, axis=-1)
-        return middle + half * mean, half * jnp.exp(log_std)
+        return middle + half * mean, half * jnp.exp(jnp.clip(log_std, *LOG_STD))
 
     def log_prob(self, outputs: jax.Array, action: jax.Array) -> jax.Array:
         """Log densities ``[...]`` of actions ``[..., n]``, clipped by nobody yet."""
@@ -156,9 +168,11 @@ Actions = Discrete | Box
 
 
 def as_actions(num_actions: int | Actions) -> Actions:
-    """Numbered ones where it is a count. `SettingError` where it is none."""
+    """Numbered ones where it is a count, or a space's; `SettingError` where it is neither."""
     if isinstance(num_actions, Discrete | Box):
         return num_actions
+    if hasattr(num_actions, "contains"):
+        return actions_in(num_actions)
     check_counts(num_actions=num_actions)
     return Discrete(num_actions)
 
@@ -170,11 +184,17 @@ def actions_in(space: Any) -> Actions:
     if hasattr(space, "n") and space.shape == ():
         return Discrete(int(space.n))
     low, high = (np.asarray(getattr(space, end, 0)) for end in ("low", "high"))
-    bounded = np.isfinite([low, high]).all() and (low < high).all()
-    if low.ndim != 1 or low.dtype.kind != "f" or not bounded:
+    if low.ndim != 1 or low.dtype.kind != "f" or not _bounded(low, high):
         wanted = "give Discrete ones, or vectors of floats in a bounded Box"
         raise ValueError(f"actions are {space}: {wanted} (gymnasium.wrappers.TransformAction)")
     return Box(tuple(low.tolist()), tuple(high.tolist()))
+
+
+def _bounded(low: np.ndarray, high: np.ndarray) -> bool:
+    """Whether these are ends of something, in single precision."""
+    with np.errstate(over="ignore"):
+        width = np.float32(high) - np.float32(low)
+    return bool(low.size and ((width > 0) & (width < np.inf)).all())
 
 
 def actions_of(env: Any) -> Actions:

@@ -66,6 +66,9 @@ def policy_gradient(
     return -(weight * jax.lax.stop_gradient(advantage) * log_prob(logits, action)).sum()
 
 
+MOST = 20.0  #: the logarithm of a ratio of densities: a larger one is infinite soon
+
+
 def clipped_policy_gradient(
     logits: jax.Array, action: jax.Array, advantage: jax.Array, weight: jax.Array,
     before: jax.Array, clip: float = 0.2, log_prob: LogProb = categorical,
@@ -82,7 +85,8 @@ def clipped_policy_gradient(
     chex.assert_rank([logits, advantage, weight], [2, 1, 1])
     chex.assert_equal_shape([logits, before])
     new, old = (log_prob(one, action) for one in (logits, jax.lax.stop_gradient(before)))
-    ratio, advantage = jnp.exp(new - old), jax.lax.stop_gradient(advantage)
+    change = jnp.where(weight == 0, 0.0, new - old)  # where nothing was done densities may explode
+    ratio, advantage = jnp.exp(jnp.clip(change, -MOST, MOST)), jax.lax.stop_gradient(advantage)
     least = jnp.minimum(ratio * advantage, jnp.clip(ratio, 1 - clip, 1 + clip) * advantage)
     return -(weight * least).sum()
 

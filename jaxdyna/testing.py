@@ -63,10 +63,11 @@ def check_environment(env: Environment, params: Any = None, random: bool | None 
         _scalars(f"{step.name}'s {what}", [number], kind)
     step(_keys(2)[0], next_state, actions[0, 0], params)
     if isinstance(choices, Box):
-        low = np.array(choices.low, np.float32)
-        far, near = (step(_keys(2)[0], state, action, params) for action in (low - 9, low))
+        low, high = np.array([choices.low, choices.high], np.float32)
         wrong = f"{step.name} takes an action beyond its action_space for another: clip it"
-        _same(far, near, wrong, 1e-6)
+        for end, beyond in ((low, low - 9), (high, high + 9)):
+            far, near = (step(_keys(2)[0], state, action, params) for action in (beyond, end))
+            _same(far, near, wrong, 1e-6)
     ended, _ = _play(reset, step, space, params, actions)
     if ended:  # the step that terminates is now the last one too
         change = getattr(params, "replace", None) or params._replace

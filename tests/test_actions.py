@@ -1,6 +1,6 @@
 """Actions as data: numbered ones and vectors in a Box, in policies, models and planners alike."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -15,10 +15,10 @@ from gymnasium import spaces
 from scipy.stats import norm
 
 from jaxdyna import rollout
-from jaxdyna.actions import Box, Discrete, actions_in, actions_of
+from jaxdyna.actions import Box, Discrete, actions_in, actions_of, as_actions
 from jaxdyna.agents import DQNConfig, ReinforceConfig, ReinforceHParams, reinforce
 from jaxdyna.agents.reinforce import over_batch
-from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, make_init, make_train
+from jaxdyna.dyna import Dream, Dyna, DynaConfig, DynaHParams, make_init, make_train
 from jaxdyna.dyna.frames import parts, true_dyna
 from jaxdyna.envs import FrameStack, HostedParams, Pendulum, PendulumParams, from_gymnasium
 from jaxdyna.envs.gymnasium import play
@@ -381,3 +381,66 @@ def test_either_pendulum_is_the_same_through_the_bridge():
     np.testing.assert_allclose(reward, played.reward, atol=1e-4)
     earned = play("Pendulum-v1", act, 0, 3, 30)
     assert earned.shape == (3,) and (earned < 0).all()
+
+
+def test_a_policy_that_is_nearly_sure_stays_finite():
+    """Where nothing was done the density of what stands there may be anything."""
+    space, before = Box((0.0,), (1.0,)), jnp.array([[0.6, jnp.log(0.05)]] * 2)
+    weight, action = jnp.array([1.0, 0.0]), jnp.array([[0.9], [0.0]])
+
+    def loss(mean, advantage):
+        outputs = before.at[:, 0].set(mean)
+        told = advantage * jnp.array([1.0, 0.0])
+        return clipped_policy_gradient(
+            outputs, action, told, weight, before, log_prob=space.log_prob
+        )
+
+    for mean, advantage in ((0.2, 1.0), (0.2, -1.0), (-3.0, 1.0), (3.0, -1.0)):
+        value, gradient = jax.value_and_grad(loss)(mean, advantage)
+        assert jnp.isfinite(value) and jnp.isfinite(gradient)
+
+
+def test_deviations_have_a_least_and_a_most():
+    space = Box((-1.0,), (1.0,))
+    for said, is_ in ((-50.0, jnp.exp(-5.0)), (50.0, jnp.exp(2.0)), (0.5, jnp.exp(0.5))):
+        drawn = space.sample(jax.random.key(0), jnp.array([0.0, said]), (20_000,))
+        np.testing.assert_allclose(drawn.std(), is_, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [((1.0,), (-1.0,)), ((-1.0, 0.0), (1.0,)), ((), ()), ((-np.inf,), (1.0,)), ((-3e38,), (3e38,))],
+)
+def test_bounds_that_are_none_are_refused(low, high):
+    with pytest.raises(ValueError, match="give as many finite bounds"):
+        Box(low, high)
+
+
+@pytest.mark.parametrize("low", [-np.inf, -3e38])
+def test_a_space_without_ends_is_refused(low):
+    with pytest.raises(ValueError, match="bounded Box"):
+        as_actions(spaces.Box(low, -low, (1,)))
+
+
+def test_a_space_says_what_actions_there_are():
+    assert as_actions(spaces.Box(-2.0, 2.0, (1,))) == Box([-2.0], [2.0]) == Box(-2.0, 2.0)
+    assert as_actions(spaces.Discrete(3)) == as_actions(3)
+
+
+def test_a_dream_of_another_box_is_refused():
+    agent = reinforce((3,), Box(-2.0, 2.0))
+    other = Dream(Pendulum(max_torque=9.0), lambda *given: None)
+    with pytest.raises(ValueError, match="the dream has"):
+        make_train(Dyna(Pendulum(), agent, None, other), DynaConfig(num_real_first=0))
+
+
+def test_in_a_box_the_best_sequence_wins_at_any_temperature():
+    """Though many are clipped to the same first action."""
+    config = ShootingConfig(horizon=2, candidates=64, drift=3.0)
+    for temperature in (0.0, 1.0, np.inf):
+        plan = random_shooting(Target(), replace(config, temperature=temperature))
+        obs, state = Target().reset(jax.random.key(1), Target().default_params)
+        decided = plan(Target().default_params, obs, state, jax.random.key(2))
+        if temperature == 0:
+            best = decided
+        np.testing.assert_array_equal(decided.action, best.action)

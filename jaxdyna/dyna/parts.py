@@ -116,8 +116,11 @@ def check_parts(dyna: Dyna, config: DynaConfig) -> None:
         said = f"(N) is {first} but there are only {episodes} episodes: lower N or raise these"
         raise SettingError("num_real_first", said)
     actions, dream = actions_of(dyna.env), dyna.dream and dyna.dream.env
-    for name, part in (("agent", dyna.agent), ("model", dyna.model), ("dream", dream)):
-        own = getattr(part, "num_actions", None)
+    told: dict[str, Any] = {name: getattr(getattr(dyna, name), "num_actions", None)
+                            for name in ("agent", "model")}  # fmt: skip
+    if hasattr(dream, "num_actions") or hasattr(dream, "action_space"):
+        told["dream"] = actions_of(dream)
+    for name, own in told.items():
         if own is not None and as_actions(own) != actions:
             said = f"the {name} has {own} actions and {type(dyna.env).__name__} {actions}"
             raise ValueError(f"{said}: give it {actions}")

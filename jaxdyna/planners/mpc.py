@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxdyna.actions import actions_of
+from jaxdyna.actions import Discrete, actions_of
 from jaxdyna.fields import Checked, SettingError, setting
 from jaxdyna.planners.decision import Decision, Guide, Planner, Value
 from jaxdyna.trees import as_held, where
@@ -41,7 +41,7 @@ class ShootingConfig(Checked):
         "Temperature of the returns by which random shooting chooses: an action is worth t log "
         "mean exp(return / t) of the sequences that begin with it. 0 goes by the best of them, "
         "infinity by their mean: what is safe whatever follows wins over what a single sequence "
-        "gets away with. In a Box no two begin alike: the best sequence wins.", at_least=0,
+        "gets away with. In a Box the best sequence wins.", at_least=0,
         infinite=True)  # fmt: skip
     particles: int = setting(
         1, "Episodes that a sequence is judged by, for a world that is random.", at_least=1
@@ -115,7 +115,9 @@ def random_shooting(env: Environment, config: ShootingConfig) -> Planner:
         actions = space.sequences(key_draw, (config.candidates, config.horizon), config.drift)
         returns = judge(env_params, obs, state, actions, key_score, guide.value)
         choices = space.choices(actions[:, 0])
-        worth = _worth(choices, actions[:, 0], returns, config.temperature)
+        worth = returns  # in a Box, where a choice is a sequence
+        if isinstance(space, Discrete):
+            worth = _worth(choices, actions[:, 0], returns, config.temperature)
         best = jnp.argmax(worth)
         return Decision(choices[best].astype(space.dtype), worth[best])
 
