@@ -4,6 +4,7 @@ An unsolved run counts as infinity: it is never dropped. A mean with an unsolved
 therefore undefined (None), while a median may still be known.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -259,15 +260,14 @@ def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray, paired: bool 
 
     Returns:
         ``ratio`` (None where it is not known); ``ci95`` and ``ci90``; ``p``, that of a permutation
-        test of the same statistic (9,999 draws, two-sided; of signs where paired); ``sooner``, the
-        share of pairs of runs in which the numerator's is lower, equal ones half. The intervals
-        and p are None of five seeds or fewer, and where nothing varies.
+        test of the same statistic (9,999 draws, two-sided; of signs where paired); ``sooner``, see
+        `sooner`. The intervals and p are None of five seeds or fewer, and where nothing varies.
     """
     one, other = (np.asarray(values, np.float64) for values in (numerator, denominator))
     said: Summary = {"ratio": None, "ci95": None, "ci90": None, "p": None, "sooner": None}
     if not (np.isfinite(one).all() and np.isfinite(other).all()):
         return said
-    said["sooner"] = float(np.mean((np.sign(other[:, None] - one) + 1) / 2))
+    said["sooner"] = sooner(one, other)
     if min(one.mean(), other.mean()) <= 0:
         return said
     said["ratio"] = float(one.mean() / other.mean())
@@ -291,16 +291,25 @@ def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray, paired: bool 
     return said
 
 
+def sooner(one: np.ndarray, other: np.ndarray) -> float:
+    """The share of pairs of runs in which one's is the lower, equal ones half, from ``[seeds]`` of
+    each; infinity where unsolved.
+    """
+    return float(np.mean((one < other[:, None]) + (one == other[:, None]) / 2))
+
+
 def brunner_munzel(one: np.ndarray, other: np.ndarray) -> float | None:
     """p that either of two unpaired arms is as often the lower, ties one half (Brunner and Munzel
-    2000, two-sided), from ``[seeds]`` of each; where all runs of one are below the other's, so that
-    ranks have no spread, Mann and Whitney's. None of five seeds or fewer, and where nothing varies.
+    2000, two-sided), from ``[seeds]`` of each, infinity where unsolved; not below the least that
+    ranks can have, which is that of arms wholly apart. None of five seeds or fewer, and where
+    nothing varies.
     """
+    one, other = np.split(scipy.stats.rankdata([*one, *other]), [len(one)])
     if min(len(one), len(other)) <= FEW or np.ptp([*one, *other]) == 0:
         return None
+    least = 2 / math.comb(len(one) + len(other), len(one))
     apart = one.max() < other.min() or other.max() < one.min()
-    test = scipy.stats.mannwhitneyu if apart else scipy.stats.brunnermunzel
-    return float(test(one, other).pvalue)
+    return least if apart else max(float(scipy.stats.brunnermunzel(one, other).pvalue), least)
 
 
 def holm(p_values: Sequence[float]) -> np.ndarray:

@@ -158,6 +158,26 @@ def test_a_page_of_many_runs_is_small(tmp_path):
     assert single == [{100}, {10}, {10}]
 
 
+def test_what_is_shaded_is_whole_where_no_single_runs_are_drawn(tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "SIZES", ((40, 3, 0),))
+    made = record(tmp_path, ("dyna",), agent_loss=noise,
+                  model_error=lambda generator, returns: 10.0 ** (2 * returns))  # fmt: skip
+    told = page.curves(made)
+    found = unpacked(told)
+    for name in ("agent_loss", "model_error"):
+        shown = page.smoothed(made.curves["dyna"][name], told["window"])
+        lines = found[name.replace("_", " "), "dyna"]
+        orders = {one["name"]: one["orders"] for one in told["measures"]}[name.replace("_", " ")]
+        assert len(lines) == 3 and orders == (name == "model_error")
+        near = {"rtol": 0.05} if orders else {"atol": np.ptp(shown) / 500}
+        np.testing.assert_allclose(lines[1], shown.min(0), **near)
+        np.testing.assert_allclose(lines[2], shown.max(0), **near)
+    made = record(tmp_path, ("dyna",), 8,
+                  model_error=lambda generator, returns: 10.0 ** (2 * returns))  # fmt: skip
+    (error,) = (one for one in page.curves(made)["measures"] if one["name"] == "model error")
+    assert error["orders"] and error["lowest"] > 0  # an interval of its mean begins below 0
+
+
 def test_a_record_without_episodes_has_no_curves(tmp_path):
     made = SimpleNamespace(curves={"paper@30": {"mass": np.ones((2, 3))}}, out=tmp_path,
                            results={"runs": {"seeds": [0, 1]}})  # fmt: skip
@@ -172,6 +192,7 @@ BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 @pytest.mark.skipif(BROWSER is None, reason="no browser")
 def test_a_browser_draws_the_curves_and_loads_nothing(tmp_path):
     made = record(tmp_path, ("model_free", ODD))
+    made.results["runs"]["by"] = "number"
     (tmp_path / "report.html").write_text(page.page(made, "# It\n\nWords.\n"))
     command = [BROWSER, "--headless", "--no-sandbox", "--dump-dom", "--virtual-time-budget=5000"]
     shown = subprocess.run([*command, f"file://{tmp_path}/report.html"], capture_output=True,
@@ -181,4 +202,5 @@ def test_a_browser_draws_the_curves_and_loads_nothing(tmp_path):
     assert len(lines) == 2 and all(line.count("L") == 39 for line in lines)
     assert [one["type"] for one in read.of("input")].count("checkbox") == 2 + 3
     assert "model_free" in read.text and ODD in read.text and "Real episode 40" in read.text
+    assert "Single runs, by number" in read.text and "runs go by number." in read.text
     assert "console" not in shown.stderr.lower()

@@ -274,12 +274,24 @@ def test_what_p_and_intervals_allow_to_say():
 
 
 def test_brunner_and_munzels_p():
-    """SciPy's, which has none where all of one are below the other's; none of few or equal runs."""
+    """SciPy's; none of few or equal runs. The last are those that never solve."""
     one, other = np.array([3.0, 4, 4, 7, 9, 9]), np.array([4.0, 8, 9, 9, 9, 9])
     assert brunner_munzel(one, other) == brunnermunzel(one, other).pvalue
-    assert brunner_munzel(one, other + 9) == mannwhitneyu(one, other + 9).pvalue < 0.01
     assert brunner_munzel(other + 9, one) < 0.01 and brunner_munzel(one[:5], other) is None
     assert brunner_munzel(np.full(6, 9.0), np.full(6, 9.0)) is None
+    assert brunner_munzel(np.full(6, INF), np.full(6, INF)) is None
+    last = np.array([1.0, 2, 3, 4, INF, INF, INF])
+    assert brunner_munzel(last, other) == brunner_munzel(np.minimum(last, 99), other) < 1
+
+
+@pytest.mark.parametrize("count", [6, 8, 10, 40])
+def test_brunner_and_munzels_p_is_never_below_that_of_arms_wholly_apart(count):
+    """The exact one of ranks; almost apart, their own is 2e-23 for ten runs."""
+    runs = np.arange(float(count))
+    apart = brunner_munzel(runs, runs + count)
+    assert apart == pytest.approx(mannwhitneyu(runs, runs + count, method="exact").pvalue)
+    for nearly in (runs + count - 1, runs + count - 1.5):
+        assert brunner_munzel(runs, nearly) >= apart <= brunner_munzel(nearly, runs)
 
 
 def test_holms_p_by_hand():

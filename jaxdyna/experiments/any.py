@@ -47,6 +47,7 @@ class AnyOptions(engine.Options):
     decided: ClassVar = {
         "env": "the world", "learner": "--agent", "dyna.num_episodes": "--episodes",
         "dyna.num_steps": "--hparams.env.max-steps"}  # fmt: skip
+    world_settings: ClassVar = ("hparams.env", "env")
 
     env: str = setting(help="the world")
     learner: str = setting(help="who acts")

@@ -8,6 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
 import tyro
 from rich.console import Console
 from rich.markdown import Markdown
@@ -22,18 +23,19 @@ from jaxdyna.experiments.report.rows import counted
 from jaxdyna.experiments.report.summaries import restricted, verdict
 from jaxdyna.experiments.report.tables import figure_at, markdown_table, number, paragraphs
 from jaxdyna.fields import setting
-from jaxdyna.statistics import SolveRule, brunner_munzel, holm, ratio_of_means
+from jaxdyna.statistics import SolveRule, brunner_munzel, holm, ratio_of_means, sooner
 
 PROG = "python -m jaxdyna.experiments.compare"
 WHOSE = {"experiment": "compare", "part": "compare"}
 BUDGET, RULE = "episodes", "solve rule"
+UNEVEN = "unsolved runs stopped at different steps"
 SAID = (
     "Ratios are of restricted means: an unsolved run counts with what it played. Intervals are of "
     "the log ratio (delta method, Student's t), p is of a permutation test of the same statistic, "
     "Holm's p takes in all rows. *Sooner*: the share of pairs of runs in which the first needs "
-    "less, equal ones half, and Brunner and Munzel's p. Paired are the same seeds of one arm in "
-    "settings of one preset. Told apart: Holm's p is at most 0.05; the same within a tenth: the "
-    "ratio's 90% interval lies within 0.9 to 1.1."
+    "less, equal ones half and unsolved ones last, and Brunner and Munzel's p. Paired are the same "
+    "seeds of one arm in settings of one preset. Told apart: Holm's p is at most 0.05; the same "
+    "within a tenth: the ratio's 90% interval lies within 0.9 to 1.1."
 )
 
 
@@ -66,9 +68,9 @@ class Side(NamedTuple):
     def differs(self, first: "Side", *paths: str) -> str:
         """In which settings, of these paths, it is not as the first, in words."""
         return ", ".join(
-            f"{path} {value}, not {first.settings.get(path)}"
-            for path, value in self.settings.items()
-            if path.startswith(paths) and value != first.settings.get(path)
+            f"{path} {self.settings.get(path)}, not {first.settings.get(path)}"
+            for path in {**self.settings, **first.settings}
+            if path.startswith(paths) and self.settings.get(path) != first.settings.get(path)
         )
 
 
@@ -87,10 +89,14 @@ def compare(call: Call, argv: Sequence[str]) -> int:
     """
     sides = chosen(call)
     first = next(iter(sides.values()))
+    listed = [side.whose[-1] for side in sides.values()]
+    runs: Results = {"seeds": max(listed, key=len)}
+    if any(seeds != runs["seeds"][: len(seeds)] for seeds in listed):
+        runs = {"seeds": [*range(1, len(runs["seeds"]) + 1)], "by": "number"}
     results = WHOSE | {
         "command": f"{PROG} {shlex.join(argv)}",
         "config": {"episodes": first.settings[BUDGET], "measure": call.measure},
-        "runs": {"seeds": max((side.whose[-1] for side in sides.values()), key=len)},
+        "runs": runs,
         "arms": {name: side.arm for name, side in sides.items()},
         "comparisons": compared(sides, call.measure),
     }
@@ -123,6 +129,8 @@ def chosen(call: Call) -> dict[str, Side]:
     if unknown := [arm for arm in call.arms if arm not in known]:
         raise ValueError(f"--arms {unknown[0]}: there are {', '.join(sorted(known))}")
     sides = [side for side in sides if not call.arms or {*call.arms} & {*side.entry.names}]
+    if len(sides) < 2:
+        raise ValueError(f"--arms {' '.join(call.arms)}: only {sides[0].folder} has that")
     first, names = sides[0], [side.entry.name for side in sides]
     world = first.entry.options.world_settings
     same = {"experiment": ("experiment",), "world": world, "budget": (BUDGET,), RULE: (RULE,)}
@@ -173,15 +181,27 @@ def compared(sides: Mapping[str, Side], measure: str) -> list[Results]:
         same = [one for one in before if one[1].entry.name == side.entry.name]
         same += [one for one in before if one[1].entry.arm == side.entry.arm]
         for other, first in (same + before)[:1]:
-            mine, theirs = (restricted(figure_at(one.arm, measure)) for one in (side, first))
             paired = side.whose == first.whose
-            about = {"arms": [name, other], "differs": side.differs(first, ""), "paired": paired,
-                     "sooner_p": None if paired else brunner_munzel(mine, theirs)}  # fmt: skip
-            said.append(about | ratio_of_means(mine, theirs, paired))
+            about = {"arms": [name, other], "differs": side.differs(first, ""), "paired": paired}
+            figures = [figure_at(one.arm, measure) for one in (side, first)]
+            said.append(about | _tested(figures, paired))
     known = [one for one in said if one["p"] is not None]
     for one, p in zip(known, holm([one["p"] for one in known]), strict=True):
         one["holm_p"] = float(p)
     return said
+
+
+def _tested(figures: Sequence[Results], paired: bool) -> Results:
+    """By ranks, unsolved runs last; and by restricted means, but where an unsolved run stopped
+    earlier than another one needed or played: whoever plays less would look better.
+    """
+    needed, played = [*map(tables.per_seed, figures)], [*map(restricted, figures)]
+    values, unsolved = np.concatenate(played), np.isinf(np.concatenate(needed))
+    uneven = bool((unsolved & (values < values.max() * (1 - 1e-9))).any())
+    one, other = needed if uneven else played
+    return ratio_of_means(one, other, paired) | {
+        "sooner": sooner(*needed), "sooner_p": None if paired else brunner_munzel(*needed),
+        "no_ratio": UNEVEN if uneven else None}  # fmt: skip
 
 
 def table(record: Any) -> str:
@@ -191,7 +211,8 @@ def table(record: Any) -> str:
         [" : ".join(one["arms"]) + " (paired)" * one["paired"],
          tables.with_interval({"mean": one["ratio"], "ci95": one["ci95"]}, 2), _p(one["p"]),
          _p(one.get("holm_p")), f"{number(one['sooner'], 2)} ({_p(one['sooner_p'])})",
-         "-" if one["p"] is None else verdict(one["holm_p"], one["ci90"]) or "told apart"]
+         one["no_ratio"] or (
+             "-" if one["p"] is None else verdict(one["holm_p"], one["ci90"]) or "told apart")]
         for one in results["comparisons"]
     ]  # fmt: skip
     header = ["compared", "ratio (95% interval)", "p", "Holm's p", "sooner (p)", "they are"]

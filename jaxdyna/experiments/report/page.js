@@ -59,7 +59,7 @@
   });
   const most = Math.max(...told.measures.flatMap((one) => one.lines.map((own) => own.runs.length)));
   const seeds = make("details", section, { open: most <= 20 });
-  make("summary", seeds, { textContent: "Single runs, by seed" });
+  make("summary", seeds, { textContent: `Single runs, by ${told.by}` });
   const boxes = make("div", seeds, { className: "seeds" });
   const all = [...Array(most).keys()];
   for (const [name, kept] of [["all", all], ["none", []]])
@@ -139,7 +139,8 @@
     const here = Math.max(...measure.lines.map((own) => own.runs.length));
     note.textContent = `Each curve is a running mean of ${told.window} episodes; a run that is ` +
       `over keeps its last value. Thick: the mean of all runs; shaded: ${told.shaded}; thin: ` +
-      `single runs${here < told.runs.length ? `, of which the first ${here} are here` : ""}.`;
+      `single runs${here < told.runs.length ? `, of which the first ${here} are here` : ""}.` +
+      (told.by === "seed" ? "" : ` Seeds are not the same: runs go by ${told.by}.`);
     chart.firstChild.setAttribute("aria-label", `${measure.name} against real episodes`);
     tell();
   }
@@ -161,7 +162,7 @@
     }
     const [, arm, run, found] = best;
     nearest.textContent = arm === undefined ? "" :
-      `Nearest run: ${told.arms[arm].name}, seed ${told.runs[run] ?? run}: ${said(found)}`;
+      `Nearest run: ${told.arms[arm].name}, ${told.by} ${told.runs[run] ?? run}: ${said(found)}`;
   }
   chart.onpointermove = (event) => {
     const box = chart.getBoundingClientRect();

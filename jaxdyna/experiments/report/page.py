@@ -10,7 +10,7 @@ import gzip
 import html
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -109,10 +109,11 @@ def curves(record: Any) -> Mapping[str, Any]:
     """What the script draws; nothing where nothing was played in episodes.
 
     Returns:
-        ``arms``: name, colour and dashes; ``runs``: their seeds; ``episodes`` at which curves are
-        told; ``measures``, each with its ``lowest`` and ``highest`` value, whether its heights are
-        ``orders``, of its logarithm, and ``arms``: number, points and single runs of each that has
-        it; ``packed``: the lines of all these in turn, see `_lines` and `_heights`.
+        ``arms``: name, colour and dashes; ``runs``: their seeds, or what they go ``by``;
+        ``episodes`` at which curves are told; ``measures``, each with its ``lowest`` and
+        ``highest`` value, whether its heights are ``orders``, of its logarithm, and ``arms``:
+        number, points and single runs of each that has it; ``packed``: the lines of all these in
+        turn, see `_lines` and `_heights`.
     """
     played = {arm: own for arm, own in record.curves.items() if RETURN in own}
     longest = max((own[RETURN].shape[1] for own in played.values()), default=0)
@@ -136,7 +137,8 @@ def curves(record: Any) -> Mapping[str, Any]:
         "arms": [{"name": tables.label(arm), "color": color,
                   "dashes": [] if line == plots.SOLID else [2 * part for part in line[1]]}
                  for arm, (color, line) in looks],
-        "runs": record.results["runs"]["seeds"], "episodes": at.tolist(), "window": window,
+        "runs": record.results["runs"]["seeds"], "by": record.results["runs"].get("by", "seed"),
+        "episodes": at.tolist(), "window": window,
         "shaded": plots.shaded(record.results["runs"]["seeds"]), "heights": HEIGHTS,
         "measures": [measure for measure, _ in told], "packed": packed.decode(),
     } if told else {}  # fmt: skip
@@ -168,15 +170,15 @@ def _lines(values: np.ndarray, at: np.ndarray, runs: int) -> np.ndarray:
 def _heights(name: str, lines: Mapping[int, np.ndarray]) -> tuple[Mapping[str, Any], bytes] | None:
     """What is told of a measure, and its lines, arm by arm, as heights between the lowest and the
     highest value, -1 where there is none, each as the differences from point to point; None where
-    nothing varies.
+    nothing varies. What is shaded may reach beyond single runs, and is cut off there.
     """
-    drawn = [np.delete(one, (1, 2), axis=0).ravel() for one in lines.values()]
-    told = np.concatenate([np.empty(0), *drawn])
-    told = told[np.isfinite(told)]
+    told = _known(np.delete(one, (1, 2), axis=0) for one in lines.values())
     if not told.size or not np.ptp(told):
         return None
+    orders = bool(0 < LOGARITHMIC * told.min() < told.max())
+    shaded = _known(one[1:] for one in lines.values() if len(one) == 3)
+    told = np.concatenate([told, shaded[shaded > 0] if orders else shaded])
     ends = told.min(), told.max()
-    orders = bool(0 < LOGARITHMIC * ends[0] < ends[1])
     scale = np.log if orders else np.asarray
     (low, high), packed = scale(np.array(ends)), b""
     for one in lines.values():
@@ -186,3 +188,9 @@ def _heights(name: str, lines: Mapping[int, np.ndarray]) -> tuple[Mapping[str, A
     arms = [[number, one.shape[1], len(one) - 3] for number, one in lines.items()]
     said = {"name": name.replace("_", " "), "lowest": float(ends[0]), "highest": float(ends[1])}
     return said | {"orders": orders, "arms": arms}, packed
+
+
+def _known(parts: Iterable[np.ndarray]) -> np.ndarray:
+    """All that is finite in them, ``[values]``."""
+    every = np.concatenate([np.empty(0), *map(np.ravel, parts)])
+    return every[np.isfinite(every)]
