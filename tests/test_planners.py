@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -128,15 +129,10 @@ def searches_slow(names):
 @cache
 def decide(name):
     """From what the left end pays to decisions of 8 keys from each cell that is no end, ``[cells,
-    8]``. Tree search is told what a random episode earns: knowing nothing it clings to what pays at
+    8]``. Tree search takes what follows for a random episode: for nothing it clings to what pays at
     once.
     """
-
-    def guide(params):
-        told = rollout_value(WORLD, params, 20, DISCOUNT) if name in SEARCHES else None
-        return Guide(value=told)
-
-    return jax.jit(partial(_decisions, PLANNERS[name], guide))
+    return jax.jit(partial(_decisions, PLANNERS[name], lambda params: Guide()))
 
 
 def _decisions(planner, guide, near):
@@ -185,6 +181,19 @@ def test_a_value_makes_up_for_a_short_horizon(name):
         return (actions == exact[1:-1].argmax(1)[:, None]).mean()
 
     assert right(Guide()) < 0.9 < right(Guide(value=value))
+
+
+def test_what_follows_a_tree_is_a_random_episode_unless_told():
+    def decided(guide):
+        return jax.jit(partial(_decisions, FEW["gumbel_muzero"], guide))(0.3)
+
+    def random(params):
+        return Guide(value=rollout_value(WORLD, params, discount=DISCOUNT))
+
+    by_default = decided(lambda params: Guide())
+    chex.assert_trees_all_equal(by_default, decided(random))
+    nothing = decided(lambda params: Guide(value=lambda *seen: 0.0))
+    assert (by_default.value != nothing.value).any()
 
 
 def test_a_prior_decides_where_nothing_else_does():

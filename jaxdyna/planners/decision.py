@@ -22,7 +22,8 @@ class Guide(NamedTuple):
         prior: ``obs -> log odds of the actions [A]``, for the planners that start from a policy;
             None: all alike.
         value: what comes after the last step that is looked at, in the planner's discounted return;
-            None: nothing. Not asked for after the world has ended, but after a truncation.
+            None: nothing, in a tree search a random episode. Not asked for after the world has
+            ended, but after a truncation.
     """
 
     prior: Callable[[jax.Array], jax.Array] | None = None

@@ -2,8 +2,8 @@
 model is searched as MuZero searches its own (Schrittwieser et al. 2020).
 
 A node that the search has just reached is worth `jaxdyna.planners.Guide.value`, and without one
-nothing: rewards are seen only as deep as the tree grows, which is few steps. Where they come later,
-or at every step alike, all actions look the same: give it `jaxdyna.planners.rollout_value`.
+what a random episode from there earns (`jaxdyna.planners.rollout_value`): the tree alone sees few
+steps ahead, and where rewards come later, or at every step alike, all actions would look the same.
 
 The ``planning`` extra brings mctx; nothing else needs it.
 """
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 from jaxdyna.actions import actions_of, number_of
 from jaxdyna.fields import Checked, setting
-from jaxdyna.planners.decision import Decision, Guide, Planner
+from jaxdyna.planners.decision import Decision, Guide, Planner, rollout_value
 from jaxdyna.trees import where
 from jaxdyna.types import Environment, Key
 
@@ -97,8 +97,10 @@ def _planner(mctx: Any, env: Environment, config: SearchConfig, search: Callable
         def prior(obs: jax.Array) -> jax.Array:
             return guide.prior(obs) if guide.prior else jnp.zeros(count)
 
+        ahead = guide.value or rollout_value(env, env_params, discount=config.discount)
+
         def value(node: Node, key: Key) -> jax.Array:
-            return guide.value(node.obs, node.state, key) if guide.value else jnp.float32(0)
+            return ahead(node.obs, node.state, key)
 
         def step(node: Node, action: jax.Array, key: Key):
             """One step of the world; an episode that is over stays where it is, at its value."""
