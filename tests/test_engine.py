@@ -633,7 +633,7 @@ def test_killed_ten_times_and_resumed_is_uninterrupted(name, tmp_path):
         assert lines(out) == lines(tmp_path / "whole")
         if kills == 10:
             break
-    assert kills == 10 and len(found) > 1
+    assert kills == 10 and any(found)  # some left work to go on with
 
 
 def test_a_given_model_is_dreamed_in_as_it_is():
