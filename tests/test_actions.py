@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import chex
 import gymnasium
@@ -42,6 +42,7 @@ from jaxdyna.testing import (
     check_planner,
 )
 from jaxdyna.types import Transition
+from jaxdyna.watched import Side
 
 BOX = Box((-2.0, 0.0), (2.0, 1.0))
 
@@ -444,3 +445,34 @@ def test_in_a_box_the_best_sequence_wins_at_any_temperature():
         if temperature == 0:
             best = decided
         np.testing.assert_array_equal(decided.action, best.action)
+
+
+class Pushed(gymnasium.Env):
+    """Draws the last push, from 0 to 10, as a grey level."""
+
+    metadata: ClassVar = {"render_modes": ["rgb_array"]}
+    observation_space = spaces.Box(-1.0, 1.0, (1,))
+    action_space = spaces.Box(0.0, 10.0, (1,))
+    render_mode, pushed = "rgb_array", 0.0
+
+    def __init__(self, render_mode=None):
+        pass
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        self.pushed = float(action[0])
+        return np.zeros(1, np.float32), 0.0, False, False, {}
+
+    def render(self):
+        return np.full((2, 2, 3), self.pushed, np.uint8)
+
+
+def test_a_world_of_gymnasium_in_a_box_is_watched():
+    side = Side(FrameStack(from_gymnasium(Pushed, 1), 1), HostedParams(5), 1)
+    side.begin(seed=0)
+    for push, grey in ((7.0, 7), (99.0, 10)):
+        side.step(np.array([push], np.float32))
+        assert (side.shot()[0] == grey).all()

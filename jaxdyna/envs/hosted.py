@@ -133,8 +133,9 @@ class Hosted:
         except (gymnasium.error.Error, NotImplementedError, TypeError) as error:
             raise ValueError(f"the world draws nothing: {error}") from error
         first = self.host.first
-        env = TransformAction(env, lambda action: int(first.actions.start + action),
-                              spaces.Discrete(self.num_actions))  # fmt: skip
+        env = TransformAction(
+            env, lambda action: first._chosen(np.asarray(action, first.kind.dtype).tobytes()),
+            self.action_space(self.default_params))  # fmt: skip
         return TransformObservation(env, first._seen, first.space)
 
     def reset(self, key: Key, params: HostedParams) -> tuple[jax.Array, HostedState]:

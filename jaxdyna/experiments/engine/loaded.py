@@ -85,7 +85,7 @@ class Loaded:
         self, path: str | Path | None = None, arms: Sequence[str] = (), seed: int | None = None
     ) -> None:
         """Films an episode of kept policies, the first `FILMED` steps, from the same start for all
-        arms, those with a dream first, which begins where it does and takes the same actions, see
+        arms, and beside each a dream that begins where it does and takes the same actions, see
         `jaxdyna.watched.Scene`. `ValueError` as `trained`, and where a world cannot be watched.
 
         Args:
@@ -96,7 +96,7 @@ class Loaded:
         columns: dict[str, list[Shot]] = {}
         frames.check_film(path := Path(path or self.folder / frames.FILM))
         scenes = self.scenes(arms, seed)
-        for arm, (run, scene) in sorted(scenes.items(), key=lambda one: -len(one[1][1].sides)):
+        for arm, (run, scene) in scenes.items():
             shots = scene.played(run.policy, self.options.seed, min(FILMED, run.num_steps))
             columns |= {f"{arm}: {side}": [shot[side] for shot in shots] for side in scene.sides}
         frames.film(path, columns, max(len(scene.sides) for _, scene in scenes.values()))
