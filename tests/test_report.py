@@ -189,6 +189,10 @@ def test_what_a_real_step_has_to_cost_by_hand(tmp_path):
     dyna = results["arms"]["dyna"] | {"real_steps_to_solve": unsolved}
     assert break_even(results | {"arms": results["arms"] | {"dyna": dyna}}) is None
     assert "longer than **8,000 ms**: a run of dyna computes for 8 s more" in report._price(results)
+    results["timing"]["arms"]["model_free"]["run_s"] = 60.0
+    assert "**whatever a real step takes**: a run of dyna computes for 10 s less" in (
+        report._price(results)
+    )
 
 
 def test_unsolved_runs_count_each_with_its_own():

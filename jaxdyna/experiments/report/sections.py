@@ -105,11 +105,14 @@ def _price(results: Results) -> str:
     if found is None:
         return ""
     extra, saved, price = found
+    where, more = f"where a real step takes longer than **{_short(price)} ms**", "more"
+    if extra <= 0:
+        where, more = "**whatever a real step takes**", "less"
     return (
-        f"Dreams pay where a real step takes longer than **{_short(price)} ms**: a run of dyna "
-        f"computes for {_short(extra)} s more than one of model_free, and saves {saved:,.0f} real "
-        "steps before the solving window. (Seconds of one core or device, of runs that were played "
-        "beside others and to their end, judging with them and compiling left out.)"
+        f"Dreams pay {where}: a run of dyna computes for {_short(abs(extra))} s {more} than one of "
+        f"model_free, and saves {saved:,.0f} real steps before the solving window. (Seconds of one "
+        "core or device, of runs that were played beside others and to their end, judging with "
+        "them and compiling left out.)"
     )
 
 
