@@ -10,16 +10,15 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-import optax
 import tyro
 
 from jaxdyna import agents, models, networks
 from jaxdyna.actions import Box, actions_of, number_of
-from jaxdyna.agents.reinforce import per_step
 from jaxdyna.dyna import DynaConfig, DynaHParams
 from jaxdyna.envs import FrameStack
 from jaxdyna.envs.named import FORMS, module_of, named
 from jaxdyna.experiments import engine
+from jaxdyna.experiments.cartpole.options import LEAN
 from jaxdyna.experiments.engine import cli, storage
 from jaxdyna.experiments.report import frozen
 from jaxdyna.experiments.report import sections as report
@@ -104,16 +103,13 @@ def defaults(said: str, learner: str | None = None) -> AnyOptions:
                 agents.DQNHParams(epsilon_hold=5.0), models.PixelHParams(3e-3), params,
             ),
         )  # fmt: skip
-    model = models.SupervisedConfig(
-        hidden=(64, 64), sum_loss=False, delta=True, normalise=True, scale_reward=True,
-        one_hot=True, ensemble=5, one_member=True, optimizer=optax.adam)  # fmt: skip
+    model = replace(LEAN.model, scale_reward=True)
     agent: Any = agents.DQNConfig(updates=0, updates_per_step=1.0, fake_updates=200, batch=64)
     own: Any = agents.DQNHParams(discount=0.99, epsilon_last=0.02)
     dream = models.DreamHParams(uncertainty_threshold=0.3)
     if learner == "reinforce":
         dyna = replace(dyna, dream_updates=20, dream_episodes=16, dream_steps=None)
-        agent = agents.ReinforceConfig(advantage=per_step, output_variance=1e-4)
-        own = agents.ReinforceHParams()
+        agent, own = LEAN.agent, agents.ReinforceHParams()
     if isinstance(actions, Box):  # chosen on Pendulum
         dyna = replace(dyna, dream_updates=10, dream_episodes=32)
         agent, own = replace(agent, hidden=(64,), epochs=10), agents.ReinforceHParams(1e-3, 0.98)
@@ -137,13 +133,6 @@ def rule(options: AnyOptions) -> SolveRule | None:
     return None if at is None else SolveRule(100, float(at))
 
 
-def solved(*sections: Any) -> Any:
-    """Sections that ask for a rule, where there is one."""
-    return lambda record: report.paragraphs(
-        *(section(record) for section in sections if rule(record.options))
-    )
-
-
 def experiment(said: str, learner: str | None) -> engine.Experiment:
     """A world's experiment."""
     options = defaults(said, learner)
@@ -154,9 +143,8 @@ def experiment(said: str, learner: str | None) -> engine.Experiment:
         title=said, presets={"lean": options}, arms=arms, rule=rule,
         quick={"lean": {"seeds": 2, "episodes": 60}}, describe=(frozen.describe(rule),),
         sections=(
-            solved(report.solving(rule)), report.learning_curves(rule), report.area,
-            solved(report.thresholds(rule), frozen.frozen(rule)), frozen.at_steps,
-            solved(report.endings(rule)),
+            report.solving(rule), report.learning_curves(rule), report.area,
+            report.thresholds(rule), frozen.frozen(rule), frozen.at_steps, report.endings(rule),
             report.behaviour(errors if vectors else report.WRONG, 10, log=vectors),
             report.arms_said(study.SAID), report.settings, report.spent,
         ),

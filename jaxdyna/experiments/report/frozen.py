@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxdyna.experiments.report import plots
-from jaxdyna.experiments.report.sections import Rule, drawn, told
+from jaxdyna.experiments.report.sections import Rule, drawn, with_rule
 from jaxdyna.experiments.report.summaries import Curves
 from jaxdyna.experiments.report.tables import (
     Results,
@@ -111,7 +111,7 @@ def _worth(returns: np.ndarray) -> Results:
     return said if np.isfinite(returns).all() else said | {"mean": None, "ci95": None}
 
 
-@told
+@with_rule
 def frozen(record: Any, rule: Rule) -> str:
     """Real steps until a policy as it stands earns what the rule asks for, and the share of runs
     whose policy does, against real steps; empty where no policy was evaluated.

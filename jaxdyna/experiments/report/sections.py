@@ -47,6 +47,17 @@ def told(section: Callable[Concatenate[Any, P], str]) -> Callable[P, Section]:
     return tell
 
 
+def with_rule(section: Callable[Concatenate[Any, Rule, P], str]) -> Callable[..., Section]:
+    """A section of a record and a rule, likewise; empty where its settings have no rule."""
+
+    @told
+    @wraps(section)
+    def tell(record: Any, rule: Rule, *args: P.args, **more: P.kwargs) -> str:
+        return section(record, rule, *args, **more) if rule(record.options) else ""
+
+    return tell
+
+
 def grouped(record: Any, by: str = "arm", of: str = "setting") -> dict[str, dict[str, str]]:
     """The full names of the entries of ``results["arms"]``, by arm and setting, or the reverse."""
     names: dict[str, dict[str, str]] = {}
@@ -55,7 +66,7 @@ def grouped(record: Any, by: str = "arm", of: str = "setting") -> dict[str, dict
     return names
 
 
-@told
+@with_rule
 def solving(
     record: Any, rule: Rule, paper: Mapping[str, float] = {}, ratio: Mapping[str, float] = {},
     said: str = "",
@@ -120,7 +131,7 @@ def _short(value: float) -> str:
     return f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
 
 
-@told
+@with_rule
 def thresholds(record: Any, rule: Rule) -> str:
     """Episodes to solve against the threshold; empty where that is 0 or less."""
     solves, budget = rule(record.options), record.options.episodes
@@ -190,7 +201,7 @@ def learning_curves(
     kinds = " and ".join(sorted({_begun(arm) for arm in returns if begins} - {""}))
     first = {kinds: record.options.dyna.num_real_first} if kinds else {}
     plots.learning_curves(record.out / name, returns, asked, at, first, window or few, what)
-    return paragraphs(f"![{said}]({name})", solved_share(rule)(record) if solves else "")
+    return paragraphs(f"![{said}]({name})", solved_share(rule)(record))
 
 
 def _begun(arm: str) -> str:
@@ -201,7 +212,7 @@ def _begun(arm: str) -> str:
     return "" if arm.startswith(alone) else "dreams begin"
 
 
-@told
+@with_rule
 def solved_share(record: Any, rule: Rule) -> str:
     """The share of the runs that have solved, against real episodes."""
     solves, solved = rule(record.options), {}
@@ -284,7 +295,7 @@ def distribution(record: Any) -> str:
     )
 
 
-@told
+@with_rule
 def endings(record: Any, rule: Rule) -> str:
     """How each arm ended: episodes played, last returns, and whether what was solved held."""
     solves, stop = rule(record.options), record.options.stop_after_solved
