@@ -158,8 +158,18 @@ def test_a_page_of_many_runs_is_small(tmp_path):
     assert single == [{100}, {10}, {10}]
 
 
+def test_a_page_of_very_many_arms_draws_the_first(tmp_path):
+    kinds = {f"metric_{number}": noise for number in range(26)}
+    made = record(tmp_path, [f"dyna@x={number}" for number in range(60)], 6, 50, **kinds)
+    told = page.curves(made)
+    assert len(told["arms"]) == 24 and told["more"] == 36
+    assert len(told["measures"]) == 23  # and one in which nothing varies
+    assert len(json.dumps(told)) <= page.CURVES_BYTES * 1.05
+    assert {name for _, name in unpacked(told)} == {arm["name"] for arm in told["arms"]}
+
+
 def test_what_is_shaded_is_whole_where_no_single_runs_are_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr(page, "SIZES", ((40, 3, 0),))
+    monkeypatch.setattr(page, "SIZES", ((40, 3, 0, 9),))
     made = record(tmp_path, ("dyna",), agent_loss=noise,
                   model_error=lambda generator, returns: 10.0 ** (2 * returns))  # fmt: skip
     told = page.curves(made)

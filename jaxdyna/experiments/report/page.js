@@ -140,6 +140,7 @@
     note.textContent = `Each curve is a running mean of ${told.window} episodes; a run that is ` +
       `over keeps its last value. Thick: the mean of all runs; shaded: ${told.shaded}; thin: ` +
       `single runs${here < told.runs.length ? `, of which the first ${here} are here` : ""}.` +
+      (told.more ? ` Of ${told.more} more arms the report has the figures alone.` : "") +
       (told.by === "seed" ? "" : ` Seeds are not the same: runs go by ${told.by}.`);
     chart.firstChild.setAttribute("aria-label", `${measure.name} against real episodes`);
     tell();

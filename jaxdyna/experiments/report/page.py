@@ -1,8 +1,8 @@
 """``report.html``: a report as one page for a browser, with its curves to be looked into.
 
 The page loads nothing: figures, films, curves, script and style are in it, and a policy of its own
-forbids everything else. It stays below 500 KB without films: of long curves as many points are
-taken, and figures are as wide, as that allows.
+forbids everything else. Its curves and figures take 430 KB at the most: of long curves as many
+points are taken, of very many arms as many drawn, and figures are as wide, as that allows.
 """
 
 import base64
@@ -26,13 +26,14 @@ from jaxdyna.statistics import running_mean
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 #: of all curves and of all figures, as they stand in the page
 CURVES_BYTES, FIGURES_BYTES = 230_000, 200_000
-#: points of a curve, and single runs, the first ones, of returns and of all else: the first that
-#: fit, or the last
+MANY = 1_000_000
+#: points of a curve; single runs of returns, and of all else; arms and measures, of all the first:
+#: the first that fit, or the last, which do
 SIZES = (
-    (200, 100, 100), (120, 100, 100), (120, 100, 10), (60, 100, 10), (60, 30, 10), (40, 10, 0)
-)  # fmt: skip
+    (200, 100, 100, MANY), (120, 100, 100, MANY), (120, 100, 10, MANY), (60, 100, 10, MANY),
+    (60, 30, 10, MANY), (40, 10, 0, MANY), (40, 10, 0, 24))  # fmt: skip
 #: pixels across a figure, likewise
-WIDTHS = (1245, 900, 640)
+WIDTHS = (1245, 900, 640, 400)
 #: episodes in a running mean, as in the figures; a tenth of short runs
 WINDOW = 20
 #: that are told apart between the lowest and the highest value
@@ -109,11 +110,11 @@ def curves(record: Any) -> Mapping[str, Any]:
     """What the script draws; nothing where nothing was played in episodes.
 
     Returns:
-        ``arms``: name, colour and dashes; ``runs``: their seeds, or what they go ``by``;
-        ``episodes`` at which curves are told; ``measures``, each with its ``lowest`` and
-        ``highest`` value, whether its heights are ``orders``, of its logarithm, and ``arms``:
-        number, points and single runs of each that has it; ``packed``: the lines of all these in
-        turn, see `_lines` and `_heights`.
+        ``arms``: name, colour and dashes, and how many ``more`` there are; ``runs``: their seeds,
+        or what they go ``by``; ``episodes`` at which curves are told; ``measures``, each with its
+        ``lowest`` and ``highest`` value, whether its heights are ``orders``, of its logarithm, and
+        ``arms``: number, points and single runs of each that has it; ``packed``: the lines of all
+        these in turn, see `_lines` and `_heights`.
     """
     played = {arm: own for arm, own in record.curves.items() if RETURN in own}
     longest = max((own[RETURN].shape[1] for own in played.values()), default=0)
@@ -123,22 +124,22 @@ def curves(record: Any) -> Mapping[str, Any]:
                if name in own and own[name].shape == own[RETURN].shape}
         for name in dict.fromkeys([RETURN, *(name for own in played.values() for name in own)])
     }  # fmt: skip
-    for points, runs, fewer in SIZES:
+    for points, runs, fewer, most in SIZES:
         at = np.unique(np.linspace(1, longest, min(points, longest)).round().astype(int))
         lines = {name: {number: _lines(values, at, runs if name == RETURN else fewer)
-                        for number, values in arms.items()}
-                 for name, arms in measures.items()}  # fmt: skip
+                        for number, values in arms.items() if number < most}
+                 for name, arms in [*measures.items()][:most]}  # fmt: skip
         told = [each for name, arms in lines.items() if (each := _heights(name, arms))]
         packed = base64.b64encode(gzip.compress(b"".join(each for _, each in told), mtime=0))
         if len(packed) <= CURVES_BYTES:
             break
-    looks = zip(played, plots.looks([*played]), strict=True)
+    looks = [*zip(played, plots.looks([*played]), strict=True)][:most]
     return {
         "arms": [{"name": tables.label(arm), "color": color,
                   "dashes": [] if line == plots.SOLID else [2 * part for part in line[1]]}
                  for arm, (color, line) in looks],
         "runs": record.results["runs"]["seeds"], "by": record.results["runs"].get("by", "seed"),
-        "episodes": at.tolist(), "window": window,
+        "more": len(played) - len(looks), "episodes": at.tolist(), "window": window,
         "shaded": plots.shaded(record.results["runs"]["seeds"]), "heights": HEIGHTS,
         "measures": [measure for measure, _ in told], "packed": packed.decode(),
     } if told else {}  # fmt: skip
