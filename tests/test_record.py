@@ -1,6 +1,7 @@
 """The lab book holds what its tables say, and what is stale in it is told by why."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -18,7 +19,8 @@ from jaxdyna.experiments.engine.experiment import chosen
 from jaxdyna.experiments.record import BOOK, Plan, State
 from jaxdyna.statistics import ratio_of_means, summarise
 
-PLANS = record.read_plans(BOOK)
+ALL = record.read_plans(BOOK)
+PLANS = {name: plan for name, plan in ALL.items() if plan.playable}
 RECORDED = [path.parent.name for path in sorted(BOOK.glob("*/results.json"))]
 SEEDS, PRIMARY = (tomllib.loads((BOOK / f"{name}.toml").read_text())
                   for name in ("seeds", "primary"))  # fmt: skip
@@ -26,7 +28,8 @@ TINY = "cartpole --seeds 2 --seed 3 --episodes 110 --arms model_free"
 
 
 def seed_of(plan):
-    return plan.session.options.seed
+    said = re.search(r"--seed (\d+)", plan.command)
+    return int(said[1]) if said else plan.session.options.seed
 
 
 @pytest.mark.parametrize("name", PLANS)
@@ -36,15 +39,24 @@ def test_a_command_of_the_lab_book_resolves_today(name):
     assert "--out" not in PLANS[name].command and "--resume" not in PLANS[name].command
 
 
+def test_a_record_whose_world_is_not_installed_is_left_out(tmp_path, capsys):
+    for table in record.TABLES:
+        (tmp_path / table).write_text((BOOK / table).read_text())
+    with (tmp_path / "records.toml").open("a") as file:
+        file.write('[far]\nasks = "?"\ncommand = "any --env gymnasium:Far-v0"\nneeds = "farther"\n')
+    assert record.main(["far", "--redraw", "--book", str(tmp_path)]) == 0
+    assert capsys.readouterr().out == "far is left out: farther is not installed\n"
+
+
 def test_every_folder_is_a_record_and_every_record_a_folder_or_planned():
-    assert set(RECORDED) <= PLANS.keys()
-    for name in PLANS.keys() - set(RECORDED):
-        assert PLANS[name].hours, f"{name} is planned: guess its hours"
+    assert set(RECORDED) <= ALL.keys()
+    for name in ALL.keys() - set(RECORDED):
+        assert ALL[name].hours, f"{name} is planned: guess its hours"
 
 
 def test_the_index_of_the_lab_book_is_its_table():
     rows = [f"| [{plan.name}]({plan.name}/report.md) | {plan.asks} | {seed_of(plan)} |"
-            for plan in PLANS.values() if plan.name in RECORDED]  # fmt: skip
+            for plan in ALL.values() if plan.name in RECORDED]  # fmt: skip
     index = "\n".join(["| folder | question | base seed |", "| --- | --- | --- |", *rows])
     assert f"## Index\n\n{index}\n\n" in (BOOK / "README.md").read_text(), index
 
@@ -52,7 +64,7 @@ def test_the_index_of_the_lab_book_is_its_table():
 def test_every_base_seed_of_a_record_is_listed():
     lines = {(said["seed"], said["by"]): said["looked_at"] for said in SEEDS["seeds"]}
     assert len(lines) == len(SEEDS["seeds"])
-    for name, plan in PLANS.items():
+    for name, plan in ALL.items():
         assert lines[seed_of(plan), name] == (name in RECORDED)
 
 

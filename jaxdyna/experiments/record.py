@@ -14,6 +14,7 @@ import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Self
 
@@ -77,6 +78,12 @@ class Plan:
     hours: float | None = None  #: what it costs, where no record says so yet
     #: names of records above it beside which it is read: where one of these is stale, so is this
     builds_on: Sequence[str] = ()
+    needs: str = ""  #: a module of an extra, without which its world is not there
+
+    @property
+    def playable(self) -> bool:
+        """Whether what it needs is installed."""
+        return not self.needs or find_spec(self.needs) is not None
 
     @cached_property
     def session(self) -> Session:
@@ -162,6 +169,9 @@ def run(call: Call, argv: Sequence[str]) -> int:
     if unknown := [name for name in call.names if name not in plans]:
         raise ValueError(f"{unknown[0]}: no such record; there are {', '.join(plans)}")
     asked = {name: plan for name, plan in plans.items() if name in call.names} or plans
+    for name in [name for name, plan in asked.items() if not plan.playable]:
+        print(f"{name} is left out: {plans[name].needs} is not installed")
+        asked = {other: plan for other, plan in asked.items() if other != name}
     if call.primary:
         print(primary(call.book, call.folder))
     elif call.redraw:
