@@ -22,7 +22,7 @@ CONTENTS = {
         "gallery",
     ),
     "Results": (
-        "results-cartpole", "results-maze", "results-pong", "results-planning", "paper-method",
+        "claims", "results-cartpole", "results-maze", "results-pong", "results-planning", "paper-method",
         "protocol", "benchmark", "../experiments/README",
     ),
     "Reference": (
