@@ -22,8 +22,8 @@ CONTENTS = {
         "gallery",
     ),
     "Results": (
-        "claims", "results-cartpole", "results-maze", "results-pong", "results-planning", "paper-method",
-        "protocol", "benchmark", "../experiments/README",
+        "claims", "results-cartpole", "results-maze", "results-pong", "results-planning",
+        "paper-method", "protocol", "benchmark", "../experiments/README",
     ),
     "Reference": (
         "api/types", "api/envs", "api/agents", "api/models", "api/dyna", "api/planners",
