@@ -110,7 +110,7 @@ def test_how_a_world_is_seen(scripted):
     (1, 6, 6, False),  # its time limit is none
     (2, 4, 4, True),  # an end at the limit is an end
     (1, 20, 8, True),  # a limit of ours beyond its own
-    (0, 2, 2, False),
+    (0, 20, 20, False),
 ])  # fmt: skip
 def test_ends_and_limits(scripted, pace, limit, steps, terminated):
     env = from_gxm("Script/Walk")

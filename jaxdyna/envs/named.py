@@ -18,6 +18,7 @@ from jaxdyna.types import check_part
 
 AT_ONCE = 4096  #: the most episodes of a Gymnasium world at a time; worlds are made as needed
 BRIDGES: dict[str, Any] = {"gymnasium": partial(from_gymnasium, num_envs=AT_ONCE), "gxm": from_gxm}
+"""What makes the worlds of another library, by the prefix of their names."""
 FORMS = "gymnasium:ID, gxm:ID, jaxdyna:NAME, MODULE:NAME or 'MODULE:NAME(FIELD=VALUE, ...)'"
 
 
