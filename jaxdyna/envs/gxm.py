@@ -55,7 +55,7 @@ def from_gxm(world: str) -> "Gxm":
     vector = spaces.Box(-np.inf, np.inf, (int(np.prod(look.shape)),))
     seen = spaces.Box(0, 255, look.shape, np.uint8) if lit else vector
     params = HostedParams(int(getattr(given, limit)))
-    return Gxm(world, suite, given, given.replace(**{limit: 2**30}), seen, actions, params)
+    return Gxm(suite, given, given.replace(**{limit: 2**30}), seen, actions, params)
 
 
 @struct.dataclass
@@ -70,7 +70,6 @@ class GxmState:
 class Gxm:
     """What `from_gxm` returns."""
 
-    world: str
     suite: Any
     given: Any  #: the suite's parameters
     endless: Any  #: these without a time limit: it looks like an end
