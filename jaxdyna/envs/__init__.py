@@ -3,6 +3,7 @@
 from jaxdyna.envs.atari import AtariParams, AtariPong, AtariState
 from jaxdyna.envs.cartpole import CartPole, CartPoleParams, CartPoleState
 from jaxdyna.envs.catch import Catch, CatchParams, CatchState
+from jaxdyna.envs.gxm import Gxm, GxmState, from_gxm
 from jaxdyna.envs.gymnasium import HostEnv, HostVectorEnv, register
 from jaxdyna.envs.hosted import Hosted, HostedParams, HostedState, from_gymnasium
 from jaxdyna.envs.maze import Maze, MazeParams, MazeState
@@ -14,11 +15,11 @@ from jaxdyna.envs.wrappers import Drawn, FrameStack, Replayed, ReplayedParams, S
 
 __all__ = [
     "CHANNELS", "AtariParams", "AtariPong", "AtariState", "CartPole", "CartPoleParams",
-    "CartPoleState", "Catch", "CatchParams", "CatchState", "Drawn", "FrameStack", "HostEnv",
-    "HostVectorEnv", "Hosted", "HostedParams", "HostedState", "Maze", "MazeParams", "MazeState",
-    "ObjectMasks", "Palette", "Pendulum", "PendulumParams", "PendulumState", "Pong", "PongParams",
-    "PongState", "Replayed", "ReplayedParams", "StackState", "from_gymnasium",
-    "register"]  # fmt: skip
+    "CartPoleState", "Catch", "CatchParams", "CatchState", "Drawn", "FrameStack", "Gxm", "GxmState",
+    "HostEnv", "HostVectorEnv", "Hosted", "HostedParams", "HostedState", "Maze", "MazeParams",
+    "MazeState", "ObjectMasks", "Palette", "Pendulum", "PendulumParams", "PendulumState", "Pong",
+    "PongParams", "PongState", "Replayed", "ReplayedParams", "StackState", "from_gxm",
+    "from_gymnasium", "register"]  # fmt: skip
 
 register("jaxdyna/CartPole-v0", CartPole(), CartPoleParams(max_steps=200), reward_threshold=195.0)
 register("jaxdyna/CartPole-v1", CartPole(), CartPoleParams(max_steps=500), reward_threshold=475.0)

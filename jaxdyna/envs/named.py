@@ -12,21 +12,25 @@ from typing import Any
 import numpy as np
 
 from jaxdyna.actions import actions_of
+from jaxdyna.envs.gxm import from_gxm
 from jaxdyna.envs.hosted import from_gymnasium
 from jaxdyna.types import check_part
 
 AT_ONCE = 4096  #: the most episodes of a Gymnasium world at a time; worlds are made as needed
-FORMS = "gymnasium:ID, jaxdyna:NAME, MODULE:NAME or 'MODULE:NAME(FIELD=VALUE, ...)'"
+BRIDGES: dict[str, Any] = {"gymnasium": partial(from_gymnasium, num_envs=AT_ONCE), "gxm": from_gxm}
+"""What makes the worlds of another library, by the prefix of their names."""
+FORMS = "gymnasium:ID, gxm:ID, jaxdyna:NAME, MODULE:NAME or 'MODULE:NAME(FIELD=VALUE, ...)'"
 
 
 @cache
 def named(said: str) -> Any:
-    """The environment that is called so: of Gymnasium by its id; or made by a class or function of
-    `jaxdyna.envs` or of another module, which may also make one of Gymnasium's. `ValueError` where
-    there is none, with what is called almost so.
+    """The environment that is called so: of Gymnasium or gxm by its id; or made by a class or
+    function of `jaxdyna.envs` or of another module, which may also make one of Gymnasium's.
+    `ValueError` where there is none, with what is called almost so.
     """
-    if said.startswith("gymnasium:"):
-        return from_gymnasium(said.partition(":")[2], AT_ONCE)
+    bridge, _, world = said.partition(":")
+    if bridge in BRIDGES:
+        return BRIDGES[bridge](world)
     name, given = _call(said)
     found = _module(module_of(said))
     make: Any = getattr(found, name, None)
@@ -73,7 +77,7 @@ def whole(said: str) -> str:
 def module_of(said: str) -> str:
     """The module that an environment's name begins with."""
     module = said.partition(":")[0]
-    return "jaxdyna.envs" if module in ("gymnasium", "jaxdyna") else module
+    return "jaxdyna.envs" if module in ("jaxdyna", *BRIDGES) else module
 
 
 def _call(said: str) -> tuple[str, dict[str, Any]]:

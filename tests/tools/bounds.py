@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 
 TREE = Path(__file__).parents[2]
 EXTRAS = "logging,test"
-UNTESTED = ("bench", "box2d", "docs", "wandb")
+UNTESTED = ("bench", "box2d", "docs", "gxm", "wandb")
 """The planning and atari extras' packages are in that of the tests."""
 QUICK = [
     f"tests/test_{name}.py"
