@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 
@@ -12,7 +12,7 @@ from jaxdyna.agents import DQNConfig
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, DynaState, make_init, make_step
 from jaxdyna.dyna.frames import parts, true_dyna
 from jaxdyna.envs import FrameStack, Hosted
-from jaxdyna.experiments.engine import Arm, Runs, Trained, Work
+from jaxdyna.experiments.engine import Arm, Trained, Work
 from jaxdyna.fields import LARGEST, SettingError
 from jaxdyna.types import Agent, Key
 
@@ -31,18 +31,6 @@ SAID = {
 }
 
 
-class Given(Protocol):
-    """The parameters of models that were trained before: a run's is set to them before each
-    episode.
-    """
-
-    def __call__(self, runs: Runs) -> Any:
-        """``params [runs, ...]``."""
-
-    def check(self) -> Any:
-        """Raises a `ValueError` where there are none; asked before anything is played."""
-
-
 class Hooks(NamedTuple):
     """What an experiment wants to know of its arms' runs: of every one that is over, and of the
     first alone; ``piece``, ``block`` and ``level`` as in `Work`.
@@ -53,8 +41,10 @@ class Hooks(NamedTuple):
     piece: int = 50
     block: int = 1
     level: int = 3
-    #: models that were trained before; None: a run's learns from what the run plays
-    given: Given | None = None
+    #: ``(runs) -> params [runs, ...]`` of models that were trained before, to which a run's is set
+    #: before each episode; its ``check()`` raises a `ValueError` where there are none, before
+    #: anything is played. None: a run's model learns from what the run plays.
+    given: Any = None
 
 
 @cache

@@ -77,14 +77,11 @@ def both_grids(
     """Those of a DQN in a world, called so in titles, whose episodes are all ``steps`` long; for
     the numbers see `baselines` and `dreams`.
     """
-
-    def alone(options: Any) -> Rows:
-        def updates(ratio: float) -> Overrides:
-            return {"agent.updates": round(ratio * options.steps)}
-
-        return baselines("agent", "hparams.agent", ratios, between, updates)
-
-    title = f"The strongest agent without a model in {world}"
-    return grid("baselines", title, of, "model_free", alone), grid(
+    alone = grid(
+        "baselines", f"The strongest agent without a model in {world}", of, "model_free",
+        lambda options: baselines(
+            "agent", "hparams.agent", ratios, between,
+            lambda ratio: {"agent.updates": round(ratio * options.steps)}))  # fmt: skip
+    return alone, grid(
         "dyna_grid", f"Dyna in {world}, with as many settings", of, "dyna",
         lambda options: dreams(counts, kept))  # fmt: skip
