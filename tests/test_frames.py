@@ -18,8 +18,8 @@ from jaxdyna.experiments.engine.checkpoint import Store
 from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.experiments.frames import grids, training
 from jaxdyna.experiments.frames.judging import counts, judge, show
-from jaxdyna.experiments.frames.options import Training
 from jaxdyna.experiments.frames.scores import f1, precision, recall, scored
+from jaxdyna.experiments.frames.training import Training
 from jaxdyna.experiments.frames.worlds import Asked, Stage
 from jaxdyna.experiments.maze.frames import FRAMES, TUNED, MazeFrames
 from jaxdyna.experiments.report.frames import trail
@@ -93,7 +93,6 @@ def test_an_interrupted_run_goes_on_where_it_was(finished, tmp_path, monkeypatch
     """Interrupted within a run and between two, then resumed: the same, bit for bit."""
     monkeypatch.setattr(training, "PIECE", 2)
     grids.work.cache_clear()
-    training.frame_work.cache_clear()
     part, arms, saved, save = tmp_path / "part", ["--arms", "lean"], [], Store.save
 
     def saving(store, number, run, seconds):

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from jaxdyna.envs import Catch, CatchParams, FrameStack
 from jaxdyna.experiments.frames import grids
-from jaxdyna.experiments.frames.options import Training
+from jaxdyna.experiments.frames.training import Training
 
 
 @dataclass(frozen=True, kw_only=True)

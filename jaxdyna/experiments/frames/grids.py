@@ -11,9 +11,8 @@ import jax.numpy as jnp
 
 from jaxdyna.envs import FrameStack
 from jaxdyna.experiments.engine import Arm, Experiment, Work
-from jaxdyna.experiments.frames.options import FrameOptions, Training
 from jaxdyna.experiments.frames.report import FrameReport
-from jaxdyna.experiments.frames.training import frame_arms, frame_work
+from jaxdyna.experiments.frames.training import FrameOptions, Training, frame_arms, frame_work
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
 from jaxdyna.fields import SettingError, setting
 from jaxdyna.losses import bce, l1, l2
@@ -136,9 +135,7 @@ def work(options: GridOptions, arm: str) -> Work:
     asked = Asked(believe, rules, config.threshold or 0.5, config.reward is not None)
     training: Training = getattr(options, TRAINED[arm])
     world = random_episodes(options, training.rare_share)
-    return frame_work(
-        world, model, asked, training.batch, options.block, loss_every=options.loss_every
-    )
+    return frame_work(options, world, model, asked, training.batch)
 
 
 def config_of(options: GridOptions, arm: str) -> PixelConfig:

@@ -68,17 +68,11 @@ class FrameReport:
         }
         if not looks:
             return ""
-        longest = max(losses["new"].shape[1] for losses in looks.values())
-        panels = {
-            f"{name}: loss of a frame": {
-                whose: np.pad(loss, ((0, 0), (0, longest - loss.shape[1])), mode="edge")
-                for whose, loss in losses.items()
-            }
-            for name, losses in looks.items()
-        }
-        steps = every * np.arange(1, longest + 1)
-        said = "gradient steps; one at its end keeps its last loss"
-        drawn = plots.bands(record.out / "training.png", panels, said, at=steps, yscale="log")
+        panels = {f"{name}: loss of a frame": losses for name, losses in looks.items()}
+        steps = every * np.arange(1, 1 + max(losses["new"].shape[1] for losses in looks.values()))
+        drawn = plots.bands(
+            record.out / "training.png", panels, "gradient steps", at=steps, yscale="log"
+        )
         header = [f"{whose}, after {part}" for whose in WHOSE for part in ("half", "all")]
         rows = [[name, *(f"{loss:.4g}" for whose in WHOSE for loss in _half_and_all(losses[whose]))]
                 for name, losses in looks.items()]  # fmt: skip

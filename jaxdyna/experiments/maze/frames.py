@@ -6,7 +6,7 @@ from typing import ClassVar
 from jaxdyna.envs import FrameStack, Maze, MazeParams
 from jaxdyna.experiments.engine import Record
 from jaxdyna.experiments.frames import grids
-from jaxdyna.experiments.frames.options import Training
+from jaxdyna.experiments.frames.training import Training
 from jaxdyna.experiments.report.tables import runs
 from jaxdyna.fields import changed, setting
 

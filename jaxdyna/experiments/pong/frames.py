@@ -13,9 +13,8 @@ from jaxdyna import losses, models
 from jaxdyna.envs import AtariPong
 from jaxdyna.envs.pong_screen import in_channels, mixture_of, shares_of
 from jaxdyna.experiments.engine import Arm, Experiment, Record, Runs, Work
-from jaxdyna.experiments.frames.options import FrameOptions, Training
 from jaxdyna.experiments.frames.report import FrameReport
-from jaxdyna.experiments.frames.training import frame_arms, frame_work
+from jaxdyna.experiments.frames.training import FrameOptions, Training, frame_arms, frame_work
 from jaxdyna.experiments.frames.worlds import Asked, Stage, World
 from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.data import Played, collect, play, screens, states, take
@@ -84,9 +83,7 @@ def work(options: PongFrames, arm: str) -> Work:
         return models.AdversarialHParams(rate, options.adversarial_weight, rate)
 
     rates: Any = adversarial if arm == "adversarial" else models.PixelHParams
-    made = frame_work(
-        world_of(options), *asked(options, arm), batch, options.block, rates, options.loss_every
-    )
+    made = frame_work(options, world_of(options), *asked(options, arm), batch, rates)
     return kept(made) if options.keep else made
 
 

@@ -115,7 +115,7 @@ def bands(
         y: what all lines are, where titles do not say what each panel's are.
         window: of a running mean over episodes, in which a run that is over keeps its last value;
             None: the values as they are.
-        at: other numbers than 1 to n.
+        at: other numbers than 1 to n, of the longest line.
         dots: by name, positions of dots on the line.
         legend: its title.
         interval: what is shaded instead, ``[seeds, n] -> [2, n]``.
@@ -275,7 +275,7 @@ def band(
     interval: Callable[[np.ndarray], Any] | None = None, **line: Any,
 ) -> None:  # fmt: skip
     """The mean over seeds of ``[seeds, n]``, `shaded`, against 1 to n or ``x``."""
-    x = np.arange(1, values.shape[1] + 1) if x is None else x
+    x = np.arange(1, values.shape[1] + 1) if x is None else x[: values.shape[1]]
     low, high = (interval or around)(values)
     panel.fill_between(x, low, high, color=look.color, alpha=0.13, linewidth=0)
     panel.plot(x, values.mean(0), label=label, linewidth=1.8, **look._asdict(), **line)
