@@ -14,6 +14,7 @@ from jaxdyna.agents import reinforce
 from jaxdyna.envs import CartPole, Maze
 from jaxdyna.experiments.benchmark import (
     PARTS,
+    BenchmarkOptions,
     commands,
     dreams,
     frames,
@@ -23,7 +24,6 @@ from jaxdyna.experiments.benchmark import (
     timing,
     whole,
 )  # fmt: skip
-from jaxdyna.experiments.benchmark.options import BenchmarkOptions
 from jaxdyna.experiments.cartpole.options import TUNED
 from jaxdyna.experiments.engine import InputError, Record, main
 from jaxdyna.models import supervised
