@@ -1,6 +1,4 @@
-"""What is measured from the command line, each in a process of its own that knows of nothing: whole
-sweeps, starts, and peaks of memory.
-"""
+"""What is measured by commands, each a process of its own: sweeps, starts, and peaks of memory."""
 
 from collections.abc import Iterable
 from functools import partial

@@ -1,6 +1,4 @@
-"""What is measured outside of this process: rivals, which are no part of the package, and commands,
-each in a process of its own.
-"""
+"""Rivals, which are no part of the package, and commands, each in a process of its own."""
 
 import json
 import os
@@ -46,8 +44,7 @@ def rival(name: str) -> Any:
 
 def by_threads(theirs: Any, call: Callable[[], Any], units: float) -> dict[str, Work | None]:
     """A call of a `rival` in PyTorch as work of so many units, by one thread and by one a core:
-    which is the faster depends on the work, and on who else uses the machine. None where it is not
-    there.
+    which is the faster depends on the work and on who else uses the machine. None without it.
     """
     if theirs is None:
         return {PYTORCH: None}

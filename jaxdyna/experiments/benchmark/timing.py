@@ -105,8 +105,7 @@ def in_units(call: Callable[[], Any], units: float) -> Work:
 
 def product(count: int, rows: int, columns: int, rounds: int) -> float:
     """Floating-point operations a second of so many products of ``rows x columns`` and a square
-    matrix, each with its own, in single precision; of small ones many in a row, without leaving the
-    program.
+    matrix, each with its own, in single precision; of small ones many in a row, in one program.
     """
     operations, (key_x, key_y) = 2 * count * rows * columns**2, jax.random.split(jax.random.key(0))
     x = jax.random.normal(key_x, (count, rows, columns))

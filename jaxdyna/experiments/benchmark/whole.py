@@ -62,9 +62,7 @@ def counted(arm: Results, curves: Curves) -> tuple[float, float, float]:
 
 
 def pieces(torch: Any, options: Any) -> Mapping[str, Work]:
-    """PyTorch's, on one core, which is as many as such small networks can use; fake episodes last
-    to the end, which costs least a step.
-    """
+    """PyTorch's, on one core, which is enough; fake episodes last to the end, which costs least."""
     if torch is None:
         return {}
     torch.torch.set_num_threads(1)

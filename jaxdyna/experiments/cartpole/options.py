@@ -108,8 +108,7 @@ LEAN = changed(TUNED, {
     "hparams.agent.learning_rate": 0.05, "hparams.agent.discount": 0.995,
     "hparams.model.learning_rate": 3e-3, "hparams.real_weight": 0.0,
     "hparams.dream.uncertainty_threshold": 0.3})  # fmt: skip
-#: as literally as the paper can be read; where it is silent its authors' code decides, line by line
-#: in ``docs/paper-method.md``
+#: as literally as the paper can be read, else its authors' code: ``docs/paper-method.md``
 PAPER = changed(TUNED, {
     "preset": "paper", "dream_start": "uniform", "agent.advantage": within_episode,
     "dyna.dream_episodes": 1, "dyna.model_updates": 200, "dyna.model_batch": 5,

@@ -57,9 +57,7 @@ class FrameReport:
         return paragraphs(self.about(record), markdown_table(*self.score_table(record)))
 
     def training(self, record: Record) -> str:
-        """Each model's loss of a frame against gradient steps, on new episodes and on old ones;
-        empty where nobody looked.
-        """
+        """Each model's loss of a frame, on new and on old episodes; empty where nobody looked."""
         every = record.options.loss_every
         looks = {
             name: {whose: one[f"{whose}_loss"][:, every - 1 :: every] for whose in WHOSE}

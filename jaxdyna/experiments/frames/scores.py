@@ -34,8 +34,7 @@ SCORES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 def scored(classes: Sequence[str], kinds: Sequence[str], curves: Curves) -> Results:
     """An arm's entries: by class, in the order of `World.channels`, `SCORES` at the threshold that
     the model uses, what is believed of lit pixels and spilled on others; by kind, the first so many
-    of those that `judge` tells apart, the rewards that are right; by rule and dreamed steps the
-    scores of dreams.
+    of those that `judge` tells apart, the rewards that are right; by rule and step those of dreams.
     """
     used = curves["one_step"][:, used_threshold(curves)]
     mass = curves["mass"] / np.maximum(used[..., 2:], 1)

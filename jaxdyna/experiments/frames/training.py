@@ -45,12 +45,10 @@ class Training(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOptions(Options):
-    """What every experiment on frames can be told; ``dream_from`` is the first step of a held-out
-    episode from which models dream.
-    """
+    """What every experiment on frames can be told."""
 
     decided: ClassVar = {"stop_after_solved": "the model's updates"}
-    dream_from: ClassVar[int] = 0
+    dream_from: ClassVar[int] = 0  #: step of a held-out episode from which models dream
 
     steps: int = setting(200, "steps of an episode", at_least=1, everyday=True)
     stop_after_solved: int | None = setting(None, "nothing is solved")

@@ -50,8 +50,7 @@ class World(NamedTuple):
     #: from ``truth [N, horizon + 1, ...]``, what there is where dreams begin and after each of
     #: their steps, to which steps are counted once more by themselves, bool ``[N, horizon]``
     apart: Callable[[jax.Array], jax.Array] | None = None
-    #: from ``truth [starts, horizon + 1, ...]`` to which dream of the first episode is filmed, by
-    #: default the first
+    #: from ``truth [starts, horizon + 1, ...]`` to which dream of the first episode is filmed
     film: Callable[[jax.Array], jax.Array] = lambda truth: jnp.int32(0)
     collect: Callable[[Runs], Any] | None = None  #: see `jaxdyna.experiments.engine.Work`
 
@@ -59,8 +58,7 @@ class World(NamedTuple):
 class Asked(NamedTuple):
     """Who predicts."""
 
-    #: ``(params, obs [N, ...], action [N]) -> [N, H, W, channels]``: how likely a pixel is lit by
-    #: each channel
+    #: ``(params, obs [N, ...], action [N]) -> [N, H, W, channels]``: how likely each is lit
     believe: Callable[..., jax.Array]
     #: by name ways to make frames, each a ``predict``; the first one's rewards count, it is filmed
     rules: tuple[tuple[str, Predict], ...]

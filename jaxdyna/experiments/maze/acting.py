@@ -1,6 +1,4 @@
-"""Learning to act in the Maze, with and without dreams (§4.2, Fig. 8, Table 2): the experiment and
-its report.
-"""
+"""Learning to act in the Maze (§4.2, Fig. 8, Table 2): the experiment and its report."""
 
 from typing import Any
 

@@ -85,9 +85,7 @@ def agent_of(options: MazeOptions) -> DQNConfig:
 
 
 def model_of(options: MazeOptions) -> PixelConfig:
-    """The model's network, loss and optimiser. The paper's threshold of 0.2 serves its
-    cross-entropy.
-    """
+    """The model's network, loss, optimiser; the paper's threshold 0.2 serves its cross-entropy."""
     loss = {"bce": losses.bce, "l1": losses.l1, "l2": losses.l2}[options.model_loss]
     head: Any = networks.LocalReward()
     if options.model_reward == "classes":

@@ -34,9 +34,7 @@ ROWS: dict[str, Overrides] = {
 
 @dataclass(frozen=True, kw_only=True)
 class PlanningOptions(CartPoleOptions):
-    """Planners beside policies: what a decision costs, what it earns, who learns sooner. The runs'
-    settings are CartPole's.
-    """
+    """Planners beside policies: what they cost and earn; the runs' settings are CartPole's."""
 
     grounds: tuple[str, ...] = setting(
         tuple(GROUNDS), "where decisions are timed and played", choices=tuple(GROUNDS),

@@ -110,9 +110,7 @@ def play(ground: Ground, act: Act) -> tuple[np.ndarray, Any]:
 
 
 def milliseconds(ground: Ground, act: Act, batch: int) -> float:
-    """Of one call that decides for so many environments by what the first run has learned: the
-    median of several timings.
-    """
+    """Of one call that decides for so many environments by the first run: the median of several."""
     keys = jax.random.split(jax.random.fold_in(jax.random.clone(ground.key), batch), (2, batch))
     seen = jax.jit(jax.vmap(lambda key: ground.env.reset(key, ground.params)))(keys[0])
     one = partial(act, jax.tree.map(lambda leaf: leaf[0], ground.learned))

@@ -83,9 +83,7 @@ def cartpole_contenders(dyna: Dyna, options: Any, sizes: Sizes) -> Iterator[Cont
 
 
 def maze_ground(key: Key, sizes: Sizes) -> Grounds:
-    """The Maze, and what was learned there by `dyna` of the ``lean`` preset: after fewer episodes
-    it is the same runs, not as far.
-    """
+    """The Maze, likewise: after fewer episodes it is the same runs, not as far."""
     key_learn, key_play = jax.random.split(key)
     size, obstacles, steps = sizes.board
     after = sorted(set(sizes.maze_episodes))
@@ -137,9 +135,7 @@ def planner(
     dyna: Dyna, hparams: DynaHParams, who: str, steps: int, make: experts.MakePlanner, config: Any,
     guide_in: Callable[[Any], experts.MakeGuide] = lambda world: experts.without_guide,
 ) -> tuple[Contender, Contender]:  # fmt: skip
-    """One that plans in the true environment from the true state, and one in the learned one from
-    what is seen.
-    """
+    """One plans in the true environment from its state, one in the learned from what is seen."""
     assert dyna.dream is not None
     true, dreamed = dyna.env, dyna.dream.env
     plan, guide = make(true, config), guide_in(true)
@@ -156,9 +152,7 @@ def planner(
 
 
 def learned(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, key: Key, runs: int) -> DynaState:
-    """So many runs ``[runs, ...]`` after all their real episodes, on one device and without keys:
-    nothing follows.
-    """
+    """Runs ``[runs, ...]`` after all their episodes, on one device, without keys: they are over."""
     states, _ = sweep(make_train(dyna, config), jax.random.split(key, runs), hparams, block=1)
     whole = jax.tree.map(lambda leaf: leaf[0], replace(states, key=None))
     return jax.device_put(whole, jax.devices()[0])

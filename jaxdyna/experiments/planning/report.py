@@ -116,9 +116,7 @@ def describe(options: Any, curves: Mapping[str, np.ndarray]) -> Results:
 
 
 def robust(record: Any) -> str:
-    """Whether dreams are more robust than an initialisation from a planner; empty where too little
-    was played.
-    """
+    """Whether dreams are more robust than imitating a planner; empty where little was played."""
     header, lines = robust_table(record.results["arms"])
     title = "## Sub-optimal trajectories, or an initialisation from MPC? (§1.1)"
     return paragraphs(title, ROBUST, markdown_table(header, lines)) if lines else ""

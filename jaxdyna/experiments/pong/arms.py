@@ -96,9 +96,7 @@ def points(real: Transition, begun: Any, params: Any) -> Metrics:
 
 
 def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: Any) -> Metrics:
-    """The final greedy policy: ``greedy_return`` ``[episodes]`` of new ones; of the real game
-    ``game_score`` ``[games]`` of whole ones.
-    """
+    """Greedy: ``greedy_return [episodes]``; of the real game ``game_score [games]``, whole ones."""
     key, key_games = jax.random.split(key)
     env, act = dyna.env, study.greedy_policy(dyna, state, hparams)
     played = rollout(env, act, key, hparams.env, GREEDY_EPISODES, num_steps=config.num_steps)

@@ -100,9 +100,7 @@ def choose(
 
 
 def play(source: Source, steps: int, episodes: int, mixed: Any, key: Key) -> Played:
-    """Episodes, each from a new game's start, of the random policy, or of the mixed one, whose
-    players have any skill from 0 to 1.
-    """
+    """Episodes, each a new game, of the random policy, or the mixed one: players of any skill."""
 
     def one(key: Key) -> Played:
         key_player, key_reset, key_steps = jax.random.split(key, 3)

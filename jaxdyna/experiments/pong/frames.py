@@ -118,9 +118,7 @@ def asked(options: PongFrames, arm: str) -> tuple[DynamicsModel, Asked]:
 
 @cache
 def world_of(options: PongFrames) -> World:
-    """The game's episodes, of which a key gives all arms the same; those of the real game a host
-    collects once.
-    """
+    """The game's episodes, by a key the same in all arms; the real game's are collected once."""
     real, game = options.game == "ale", world.game_of(options)
     steps, palette = options.steps, PALETTES[options.frames]
     rules = replace(world.RULES, max_steps=steps)
@@ -169,8 +167,7 @@ def world_of(options: PongFrames) -> World:
 
 def unserved(ball: jax.Array) -> jax.Array:
     """Whether no new ball has been served up to a step, bool ``[episodes, T]``, from where the ball
-    is, bool ``[episodes, T + 1, H, W]``: a new one has not been there, or is an eighth of the field
-    away.
+    is, bool ``[episodes, T + 1, H, W]``: a new one was not there, or is an eighth of the field off.
     """
     there, columns = ball.any((2, 3)), ball.any(2)
     column = columns.argmax(-1)

@@ -84,9 +84,7 @@ def cause(record: Any) -> str:
 
 
 def final(record: Any) -> str:
-    """What the final policies earn, of whole games beside what the literature's do after 100,000
-    steps.
-    """
+    """What final policies earn; of whole games beside the literature's after 100,000 steps."""
     arms = record.results["arms"].items()
     rows = [[name, with_interval(arm["greedy_return"], 2)] for name, arm in arms]
     scores = {name: arm["game_score"] for name, arm in arms if "game_score" in arm}

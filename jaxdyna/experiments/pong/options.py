@@ -75,9 +75,7 @@ class PongOptions(GameOptions):
             raise ValueError("--hparams.env is the pure game's: leave it out, or choose --game jax")
 
     def resolved(self) -> Self:
-        """An episode is so many steps of a game that nobody wins; models that are given learn
-        nothing.
-        """
+        """An episode is so many steps, nobody wins; models that are given learn nothing."""
         learns = self.models is None
         return changed(self, {
             "dyna.model_updates": self.dyna.model_updates if learns else 0,

@@ -1,6 +1,4 @@
-"""Models that were trained beforehand: the part `frames` keeps them, and dreams are in them as they
-are.
-"""
+"""Models trained beforehand: the part `frames` keeps them, and dreams are in them as they are."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -51,9 +49,7 @@ class Given:
         return jax.tree.map(lambda array: array[runs.seed % len(array)], self.check())
 
     def check(self) -> Any:
-        """``params [models, ...]``; `InputError` where there is none of the same game and sizes
-        with finite weights.
-        """
+        """``params [models, ...]``, finite; `InputError` without any of the same game and sizes."""
         again = (
             f"train it by --part frames --keep --policies {POLICY} --arms {self.name} with the "
             f"same {', '.join(f'--{each}' for each in SAME)}"

@@ -42,9 +42,7 @@ def baselines(
 
 
 def dreams(counts: Sequence[int], kept: int) -> Rows:
-    """A DQN that dreams so many fake episodes after each real one, of each of which so many
-    transitions are kept.
-    """
+    """A DQN that dreams ``counts`` episodes a real one, and keeps so many steps of each."""
     return {
         f"dreams {count}, share {share:g}, rate {rate:g}, {length}-step": {
             "dyna.dream_episodes": count,
@@ -61,9 +59,7 @@ def grid(
     name: str, title: str, of: Experiment, arm: str,
     rows: Callable[[Any], Mapping[str, Overrides]],
 ) -> Study:  # fmt: skip
-    """The study of a grid in the preset ``tuned``, its rows from best to worst; runs end once they
-    have solved.
-    """
+    """The study of a grid in ``tuned``, from best to worst; runs end once they have solved."""
     return Study(
         name=name, title=title, of=of, preset="tuned", rows=rows, arm=arm,
         common={"stop_after_solved": 0, "dyna.eval_every": 0},
