@@ -95,9 +95,7 @@ def carried(values: np.ndarray) -> np.ndarray:
 
 
 def last_mean(values: np.ndarray, window: int) -> np.ndarray:
-    """The mean of each run's own last so many entries, ``[seeds]``, of ``[seeds, episodes]`` that
-    are NaN after a run's end.
-    """
+    """The mean of each run's own last so many entries, ``[seeds]``, of ``[seeds, episodes]``."""
     return carried(running_mean(values, window))[:, -1]
 
 
@@ -164,11 +162,8 @@ def median_interval(values: np.ndarray) -> list[float | None] | None:
     """The exact 95% interval of a median by ranks, such as the 2nd to the 9th of ten values; None
     for five or fewer, which have none.
     """
-    rank = int(scipy.stats.binom.ppf(0.025, len(values), 0.5))
-    if rank < 1:
-        return None
-    ordered = np.sort(values)
-    return [_plain(ordered[rank - 1]), _plain(ordered[len(values) - rank])]
+    ends = scipy.stats.quantile_test(values).confidence_interval(0.95)
+    return None if np.isnan(ends).any() else [_plain(end) for end in ends]
 
 
 def studentised_interval(
@@ -292,9 +287,7 @@ def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray, paired: bool 
 
 
 def sooner(one: np.ndarray, other: np.ndarray) -> float:
-    """The share of pairs of runs in which one's is the lower, equal ones half, from ``[seeds]`` of
-    each; infinity where unsolved.
-    """
+    """The share of pairs of runs, ``[seeds]`` each, in which one's is lower, equal ones half."""
     return float(np.mean((one < other[:, None]) + (one == other[:, None]) / 2))
 
 
