@@ -12,43 +12,26 @@ import jax.numpy as jnp
 
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, make_init, make_step
 from jaxdyna.dyna.loop import play_real, train_model
-from jaxdyna.envs import Maze
 from jaxdyna.experiments.benchmark.others import by_threads, rival
 from jaxdyna.experiments.benchmark.timing import OURS, compared, in_units
 from jaxdyna.experiments.engine import Results
 from jaxdyna.experiments.maze import arms as maze
 from jaxdyna.experiments.maze.options import TUNED as MAZE
 from jaxdyna.experiments.pong import arms as pong
-from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.options import PAPER as PONG
-from jaxdyna.experiments.study.arms import sized
-from jaxdyna.networks import SignedReward
 
-
-def maze_parts(options: Any) -> Dyna:
-    """The parts of the Maze's ``dyna``."""
-    board = Maze(options.size, options.obstacles)
-    return maze.parts(board, maze.agent_of(options), maze.model_of(options))
-
-
-def pong_parts(options: Any) -> Dyna:
-    """The parts of Pong's ``dyna_l2``, which sees RGB by convolutions."""
-    game = world.game_of(options)
-    agent = replace(sized(options.agent, options.dyna), network=pong.network_of(options, game))
-    reward = {"reward": SignedReward(), "reward_weight": options.reward_weight}
-    return pong.parts(game, agent, world.paper_model(options, **reward))
-
-
-WORLDS: dict[str, Any] = {"Maze": (MAZE, maze_parts), "Pong": (PONG, pong_parts)}
+#: settings, the arms, and which of them it is; Pong's sees RGB by convolutions
+WORLDS: dict[str, Any] = {"Maze": (MAZE, maze.arms, "dyna"), "Pong": (PONG, pong.arms, "dyna_l2")}
 
 
 def measure(options: Any) -> Iterable[Results]:
     """The Maze by `tuned`, Pong by `paper`."""
     theirs = rival("torch_frames")
     for name in options.worlds:
-        preset, make = WORLDS[name]
+        preset, arms, arm = WORLDS[name]
         setup, other = preset.resolved(), theirs and theirs.Learner(getattr(theirs, name.upper()))
-        ours = works(make(setup), replace(setup.dyna, eval_every=0), setup.hparams, options.seed)
+        dyna = arms(setup)[arm].args[0]  # the parts that it is made of
+        ours = works(dyna, replace(setup.dyna, eval_every=0), setup.hparams, options.seed)
         units = setup.dyna.model_updates, setup.agent.updates, 1
         calls: Any = [None] * len(units)
         if other:
