@@ -261,9 +261,8 @@ def plain(value: Any) -> Any:
 
 
 def restored(like: T, said: Mapping[str, Any]) -> T:
-    """The settings that `plain` turned into JSON; what it does not name stays as in ``like``, and
-    so does what is called the same there. `SettingError` where it names what there is not, or a
-    value cannot be.
+    """The settings that `plain` turned into JSON; what it does not name, or is called the same
+    there, stays as in ``like``. `SettingError` where there is no such setting, or it cannot be so.
     """
     known = {leaf.path: leaf for leaf in leaves(like)}
 

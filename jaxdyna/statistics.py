@@ -54,8 +54,7 @@ class SolveRule(Checked):
 
 
 def episodes_to_solve(returns: np.ndarray, rule: SolveRule) -> np.ndarray:
-    """The number, from 1, of the episode that ends the first solving window: float64 ``[...]``,
-    infinity where unsolved.
+    """Which episode, from 1, ends the first solving window: float64 ``[...]``, infinity for none.
 
     Args:
         returns: `SolveRule.score`, ``[..., episodes]``; NaN where an episode was not played. A
@@ -180,9 +179,8 @@ def studentised_interval(
         resamples: how many.
 
     Returns:
-        ``[low, high]``; None where there is no honest interval: of five seeds or fewer, of seeds
-        that are all alike, or all but one or two where nothing bounds them, and where one is
-        infinite.
+        ``[low, high]``; None where there is no honest one: of five seeds or fewer, of seeds that
+        are all alike, or all but one or two where nothing bounds them, and where one is infinite.
     """
     values = np.asarray(values, np.float64)
     known = len(values) > FEW and np.isfinite(values).all() and np.ptp(values) > 0
@@ -234,9 +232,7 @@ def mean_interval(values: np.ndarray) -> np.ndarray:
 
 
 def share_interval(hits: np.ndarray) -> np.ndarray:
-    """95% intervals of the share of seeds that hit (exact, Clopper and Pearson), each of bool
-    ``[seeds, n]``: ``[2, n]``.
-    """
+    """95% intervals ``[2, n]`` of shares (exact, Clopper and Pearson), of bool ``[seeds, n]``."""
     count, total = len(hits), np.sum(hits, 0)
     with np.errstate(invalid="ignore"):
         low = scipy.stats.beta.ppf(0.025, total, count - total + 1)
@@ -294,8 +290,7 @@ def sooner(one: np.ndarray, other: np.ndarray) -> float:
 def brunner_munzel(one: np.ndarray, other: np.ndarray) -> float | None:
     """p that either of two unpaired arms is as often the lower, ties one half (Brunner and Munzel
     2000, two-sided), from ``[seeds]`` of each, infinity where unsolved; not below the least that
-    ranks can have, which is that of arms wholly apart. None of five seeds or fewer, and where
-    nothing varies.
+    ranks can have, of arms wholly apart. None of five seeds or fewer, and where nothing varies.
     """
     one, other = np.split(scipy.stats.rankdata([*one, *other]), [len(one)])
     if min(len(one), len(other)) <= FEW or np.ptp([*one, *other]) == 0:
@@ -320,9 +315,7 @@ def holm(p_values: Sequence[float]) -> np.ndarray:
 
 
 def _log_ratio(one: np.ndarray, other: np.ndarray, paired: bool) -> tuple[np.ndarray, ...]:
-    """Of the means over the last axis: the ratio's logarithm, its standard error, and that one's
-    degrees of freedom.
-    """
+    """Of last axes' means the ratio's logarithm, its standard error, its degrees of freedom."""
     means = one.mean(-1), other.mean(-1)
     log = np.log(means[0] / means[1])
     if paired:
@@ -352,8 +345,7 @@ def share_of_sums(parts: np.ndarray, wholes: np.ndarray) -> Summary:
 
 def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float, float]:
     """Spearman's rank correlation of the means over seeds of two finite quantities, ``[settings,
-    seeds]`` of the same seeds, 0 where one is the same in every setting, and the ends of its 95%
-    bootstrap interval over seeds.
+    seeds]``, 0 where one is the same in every setting, and the ends of its 95% bootstrap interval.
     """
 
     def correlate(draws):

@@ -111,9 +111,7 @@ def dqn(
         return explore(state, obs, key, share, jnp.zeros(num_actions))
 
     def learn(state: DQNState, key: Key, hparams: DQNHParams, updates: int, more: Any = None):
-        """Gradient steps, ``more`` of them (an int scalar) that only the run knows, and a new
-        direction for the next exploring episode.
-        """
+        """``updates`` and ``more`` (an int scalar or None) gradient steps, and a new direction."""
         key_drift, key_steps, key_begin = jax.random.split(key, 3)
         if config.reset_every:
             state = _begin_anew(state, partial(begun, key_begin, hparams), config.reset_every)

@@ -236,9 +236,7 @@ def _learn_policy(dyna, config, agent, real, episode, key, hparams) -> tuple[Any
 
 
 def _remembers(dyna: Dyna, config: DynaConfig) -> bool:
-    """Whether the run keeps its real transitions itself: somebody asks for them, and the agent's
-    own do not serve.
-    """
+    """Whether the run keeps its own transitions: asked for, and the agent's do not serve."""
     asked = dyna.model is not None or dyna.dream is not None
     own = config.replay_capacity is not None
     return asked and dyna.memory is not None and (own or dyna.memory.shared is None)
@@ -257,8 +255,7 @@ def train_model(
 ) -> tuple[Any, Metrics]:  # fmt: skip
     """Gradient steps of the model on all that is remembered, each batch (of frames a large one)
     taken in its turn: its new state, and ``model_loss``, the mean of all steps. Arguments as of
-    `make_init`, a model and a memory among the parts; of the run's ``state`` the model's and the
-    memory count.
+    `make_init`, with a model and a memory; of the run's ``state`` these two count.
     """
     memory: Any = dyna.memory
     shape, held = (config.model_updates, config.model_batch), memory.of(state)
@@ -283,8 +280,7 @@ def play_dreams(
     dyna: Dyna, config: DynaConfig, agent: Any, env_params: Any, key: Key, hparams: DynaHParams
 ) -> Transition:
     """Fake episodes ``[N, T, ...]`` to learn from once. Arguments as of `make_init`, a dream among
-    the parts; ``agent`` is the agent's state, ``env_params`` are of the dream's environment, see
-    `Dream.params`.
+    the parts; ``agent`` is the agent's state, ``env_params`` as of `Dream.params`.
     """
     fake_act = dyna.agent.act_fake or dyna.agent.act
 

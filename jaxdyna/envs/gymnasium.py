@@ -184,8 +184,7 @@ class HostEnv(Host, gymnasium.Env[np.ndarray, np.int64]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Starts an episode; ``seed`` makes it and all that follows reproducible. With ``options``
         obs, that is its first observation; with low and high, every number of it is uniform
-        between them, as in Gymnasium's own CartPole; `ValueError` where there are other options, or
-        it cannot begin so.
+        between them, as in Gymnasium's own CartPole; `ValueError` on others, or where it cannot be.
         """
         super().reset(seed=seed)
         if options:
@@ -228,8 +227,7 @@ class HostEnv(Host, gymnasium.Env[np.ndarray, np.int64]):
 
 class HostVectorEnv(Host, VectorEnv):
     """``num_envs`` copies of a `HostEnv` stepped in one jitted call; an ended one resets in the
-    following step. ``max_episode_steps`` stands in for ``params.max_steps``; for the other
-    arguments see `Host`.
+    following step. ``max_episode_steps`` stands in for ``params.max_steps``; the rest is `Host`'s.
     """
 
     metadata = Host.metadata | {"autoreset_mode": AutoresetMode.NEXT_STEP}

@@ -3,8 +3,7 @@
 Episodes are played on the host, by one call for a whole batch. What is threaded through a program
 holds no world but the name of where its episode stands: a digest of the seed and of all that has
 happened since. The host keeps the worlds by these names. So the same state and action give the same
-answer, whoever asks and in whatever order, and equal episodes (a swept setting's have the same
-seeds) may change places.
+answer, whoever asks in whatever order, and equal episodes (of a swept setting) may change places.
 """
 
 import threading
@@ -122,9 +121,7 @@ class Hosted:
         return self.host.first.space
 
     def drawn(self) -> gymnasium.Env:
-        """One of the worlds, seen and acted in as here, that draws what people watch; `ValueError`
-        where it draws nothing.
-        """
+        """A world, seen and acted in as here, that draws for people; `ValueError` if it cannot."""
         make: Any = partial(gymnasium.make, self.make) if isinstance(self.make, str) else self.make
         try:
             env = make(render_mode="rgb_array")
@@ -206,9 +203,7 @@ class Worlds:
         return list(self._seen(obs))[: len(seeds)]
 
     def step(self, actions: Mapping[int, bytes]) -> list[tuple[np.ndarray, float, bool, bool]]:
-        """What a step brought each lane, ``obs, reward, terminated, truncated``; those without an
-        action are given any.
-        """
+        """``obs, reward, terminated, truncated`` of each lane; one without an action does any."""
         if not self.vector:
             obs, *ends, _ = self.env.step(self._chosen(actions[0]))
             return [(self._seen(obs), *ends)]
@@ -259,9 +254,8 @@ class Host:
         return self._arrays(answers, seeds.shape)
 
     def step(self, asked: Any) -> tuple[np.ndarray, np.ndarray]:
-        """A step of each episode ``[..., 4 + n]``: its name, whether it is the last, whether there
-        is none to make, as it is over, and the action. `RuntimeError` where the world of one is in
-        use by another.
+        """A step of each episode ``[..., 4 + n]``: its name, whether it is the last, whether it is
+        over, and the action. `RuntimeError` where the world of one is in use by another.
         """
         rows = np.asarray(asked).reshape(-1, asked.shape[-1])
         nothing = bytes(ANSWER.size), np.zeros(self.first.space.shape, self.first.space.dtype)
@@ -271,9 +265,7 @@ class Host:
         return self._arrays([*answers.values()], asked.shape[:-1])
 
     def _played(self, asked: Mapping[int, bytes]) -> dict[int, tuple[bytes, np.ndarray]]:
-        """The answer to each. Where the world has gone on from there already, by this action, it is
-        what came of it then.
-        """
+        """The answer to each; what came of the same action, where the world has gone on since."""
         moves: defaultdict[Worlds, dict[int, int]] = defaultdict(dict)
         names = {row[:8] for row in asked.values()}
         for number, row in asked.items():
@@ -313,9 +305,7 @@ class Host:
             raise ValueError(f"{name}: {error}") from error
 
     def _free(self) -> Worlds:
-        """Worlds that nobody plays in, or new ones; where there may be no more, those that were
-        begun longest ago.
-        """
+        """Worlds that nobody plays in, or new ones; of too many, those begun longest ago."""
         free = next((worlds for worlds in self.every if not any(worlds.names)), None)
         if free is None and (len(self.every) + 1) * len(self.first.names) <= self.num_envs:
             free = self._made()
