@@ -138,12 +138,8 @@ def _open_loop_error(predict: Any, params: Any, episodes: Transition, keys: Key)
     """Root mean square error after each of `HORIZON` dreamed steps, in standard deviations of the
     true state over the episodes, ``[HORIZON]``.
     """
-
-    def dream(obs, action, key):
-        return open_loop(predict, params, obs, action, key).next_obs
-
-    actions = episodes.action[:, :HORIZON]
-    dreamed = jax.vmap(dream)(episodes.obs[:, 0], actions, keys)
+    dream, actions = partial(open_loop, predict, params), episodes.action[:, :HORIZON]
+    dreamed = jax.vmap(dream)(episodes.obs[:, 0], actions, keys).next_obs
     valid, count = episodes.mask[..., None], episodes.mask.sum()
     mean = (episodes.obs * valid).sum((0, 1)) / count
     std = jnp.sqrt((jnp.square(episodes.obs - mean) * valid).sum((0, 1)) / count)
