@@ -42,9 +42,7 @@ def measure(options: Any) -> Iterable[Results]:
             yield from compared(f"{name}, {what}", "ms", pair, options.rounds)
 
 
-def works(
-    dyna: Dyna, config: DynaConfig, hparams: DynaHParams, seed: int
-) -> dict[str, Callable[[], Any]]:
+def works(dyna: Dyna, config: DynaConfig, hparams: DynaHParams, seed: int) -> dict[str, Callable]:
     """What a run computes, without what is only looked at in it."""
     dyna, key = dyna._replace(watch=None, diagnose=None), jax.random.key(seed)
     first = jnp.int32(config.num_real_first)  # from here on there are dreams

@@ -23,9 +23,7 @@ from jaxdyna.replay import memory, ring
 from jaxdyna.trees import where
 from jaxdyna.types import Agent
 
-IMITATES = (
-    "`mpc` plays `shown_episodes`, which the policy imitates (Nagabandi et al. 2018); then it"
-)
+IMITATE = "`mpc` plays `shown_episodes`, which the policy imitates (Nagabandi et al. 2018); then it"
 SAID = study.SAID | {
     "placebo": "the same dreams from a model that is never trained; they last to the horizon, "
     "where it would end each at once.",
@@ -35,11 +33,11 @@ SAID = study.SAID | {
     "real steps again and again.",
     "mpc": "after the first N episodes random shooting in the model acts; no dreams.",
     "mcts": "likewise MuZero's tree search, random episodes in the model for the value of a leaf.",
-    "mpc_init": f"{IMITATES} goes on model-free, with as many policy updates an episode as `dyna`: "
+    "mpc_init": f"{IMITATE} goes on model-free, with as many policy updates an episode as `dyna`: "
     "further ones on the same real episode, clipped as PPO's are; like `dyna` in `lean` it leaves "
     "alone what did not fall.",
-    "mpc_init_dyna": f"{IMITATES} goes on with dreams like `dyna`.",
-    "mpc_clone": f"{IMITATES} stays as it is.",
+    "mpc_init_dyna": f"{IMITATE} goes on with dreams like `dyna`.",
+    "mpc_clone": f"{IMITATE} stays as it is.",
     "random_search": "nothing is learned: the action is the higher of two random linear functions "
     "of the state, which are drawn anew after every real episode below the rule's threshold.",
     "linear_model": "a linear model, fitted by least squares after every real episode, and the "

@@ -103,10 +103,8 @@ def describe(options: CatchOptions, curves: Any) -> dict[str, Any]:
 
 def final(record: Any) -> str:
     """What the final policies earn."""
-    rows = [
-        [name, with_interval(arm["greedy_return"], 2)]
-        for name, arm in record.results["arms"].items()
-    ]
+    arms = record.results["arms"].items()
+    rows = [[name, with_interval(arm["greedy_return"], 2)] for name, arm in arms]
     return report.paragraphs(
         "## The final policy",
         f"Greedy, {JUDGED} new episodes a run; 1 is every ball caught, -1 none.",

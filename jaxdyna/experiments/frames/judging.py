@@ -42,9 +42,7 @@ def judge(world: World, asked: Asked, params: Any, data: Any, key: Key) -> Judge
     return judged | {"threshold": jnp.float32(asked.threshold)}
 
 
-def _one_step(
-    world: World, asked: Asked, params: Any, data: Any, episode: jax.Array, key: Key
-) -> Judgement:
+def _one_step(world: World, asked: Asked, params, data, episode, key) -> Judgement:
     """The counts of one episode."""
     times = jnp.arange(world.steps)
     seen, truth = world.take(data, episode, times), world.truth(data, episode, times)
@@ -67,9 +65,7 @@ def _one_step(
     return judged
 
 
-def _dreams(
-    world: World, threshold: float, predict: Predict, params: Any, data: Any, key: Key
-) -> Judgement:
+def _dreams(world: World, threshold: float, predict: Predict, params, data, key) -> Judgement:
     """Open-loop dreams of all episodes, one start after the other."""
     numbers = jnp.arange(world.episodes)
 
@@ -95,9 +91,7 @@ def _dreams(
     return jax.tree.map(lambda leaf: leaf.sum(0), totals)
 
 
-def _dream(
-    world: World, predict: Predict, params: Any, data: Any, episode: Any, start: Any, key: Key
-) -> jax.Array:
+def _dream(world: World, predict: Predict, params, data, episode, start, key) -> jax.Array:
     """The frames of one, ``[horizon, H, W, 3]``, actions as recorded."""
     obs = world.take(data, episode, start[None]).obs[0]
     action = world.take(data, episode, start + jnp.arange(world.horizon)).action

@@ -198,9 +198,7 @@ class FrameReport:
             for cells, said in parts for score in scores]  # fmt: skip
         return [*first, *(["score"] if several else []), *self.classes], rows
 
-    def _draw(
-        self, path: Path, scores: Mapping[str, np.ndarray], x: str, y: str, **more: Any
-    ) -> None:
+    def _draw(self, path: Path, scores: Mapping[str, Any], x: str, y: str, **more: Any) -> None:
         """Scores by name ``[seeds, n, classes]``, a panel a class."""
         panels = {
             one: {name: values[..., number] for name, values in scores.items()}

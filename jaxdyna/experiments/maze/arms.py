@@ -95,11 +95,9 @@ def model_of(options: MazeOptions) -> PixelConfig:
     weighed: dict[str, Any] = {"reward": head, "reward_weight": options.reward_weight}
     if options.model == "local":
         return PixelConfig(networks.LocalDynamics(3, options.model_widths), loss, **weighed)
-    coder = networks.EncoderDecoder(
-        3, options.coder_widths, options.coder_kernels, options.coder_dense
-    )
+    sizes = options.coder_widths, options.coder_kernels, options.coder_dense
     return PixelConfig(
-        coder, loss, 0.2 if loss is losses.bce else 0.5, **weighed,
+        networks.EncoderDecoder(3, *sizes), loss, 0.2 if loss is losses.bce else 0.5, **weighed,
         optimizer=decayed_adam(options.coder_decay) if options.coder_decay else optax.adam,
     )  # fmt: skip
 
@@ -202,8 +200,7 @@ def judge(dyna: Dyna, config: DynaConfig, state: Any, key: Key, hparams: DynaHPa
     act = study.greedy_policy(dyna, state, hparams)
 
     def some(key: Key) -> Metrics:
-        played, seen = rollout(
-            env, act, key, params, AT_ONCE, num_steps=steps, record=dyna.record)  # fmt: skip
+        played, seen = rollout(env, act, key, params, AT_ONCE, num_steps=steps, record=dyna.record)
         starts = jax.tree.map(lambda leaf: leaf[:, 0], seen.state)
         plans = jax.vmap(lambda start: planners.solve_maze(env.env, start, params, steps))(starts)
         return {

@@ -52,9 +52,7 @@ class Ground(NamedTuple):
     batch: int  #: environments that are decided for at once in the second timing
 
 
-def measure(
-    ground: Ground, contenders: Iterable[Contender], say: Callable[[str], None]
-) -> list[Results]:
+def measure(ground: Ground, contenders: Iterable[Contender], say: Any) -> list[Results]:
     """A row a contender: its returns, their share of what could be had, how much more that is than
     the first contender's, and milliseconds.
     """

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from jaxdyna import fields
-from jaxdyna.experiments.engine import InputError, Runs, Work, storage
+from jaxdyna.experiments.engine import Curves, InputError, Runs, Work, storage
 from jaxdyna.models import AdversarialHParams
 from jaxdyna.types import DynamicsModel
 
@@ -88,9 +88,7 @@ def checksum(folder: Path | None) -> str | None:
 
 
 @cache
-def _read(
-    folder: Path, made: str | None
-) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
+def _read(folder: Path, made: str | None) -> tuple[dict[str, Any], dict[str, Curves]]:
     """Settings and curves."""
     del made  # another one is another record
     try:
