@@ -39,9 +39,8 @@ class SolveRule(Checked):
     def score(self, curves: Mapping[str, np.ndarray]) -> np.ndarray:
         """Of every episode, ``[seeds, episodes]``: its return, or how far it is above its share."""
         returns = np.asarray(curves["real_return"], np.float64)
-        return (
-            returns if self.share_of is None else returns - self.threshold * curves[self.share_of]
-        )
+        share = 0 if self.share_of is None else self.threshold * curves[self.share_of]
+        return returns - share
 
     def __str__(self) -> str:
         what = f" of the mean {self.share_of.replace('_', ' ')}" if self.share_of else ""
@@ -349,9 +348,7 @@ def rank_correlation(left: np.ndarray, right: np.ndarray) -> tuple[float, float,
     """
 
     def correlate(draws):
-        ranks = [
-            scipy.stats.rankdata(values[:, draws].mean(-1), axis=0) for values in (left, right)
-        ]
+        ranks = [scipy.stats.rankdata(side[:, draws].mean(-1), axis=0) for side in (left, right)]
         one, other = (each - each.mean(0) for each in ranks)
         scale = np.sqrt(np.square(one).sum(0) * np.square(other).sum(0))
         return (one * other).sum(0) / np.where(scale > 0, scale, 1)

@@ -93,9 +93,7 @@ def dqn(
         params = state.target if config.act_by_target else state.params
         return jnp.argmax(values(params, obs[None])[0])
 
-    def explore(
-        state: DQNState, obs: jax.Array, key: Key, epsilon: jax.Array, odds: jax.Array
-    ) -> jax.Array:
+    def explore(state: DQNState, obs: jax.Array, key: Key, epsilon: Any, odds: Any) -> jax.Array:
         key_which, key_action = jax.random.split(key)
         exploratory = jax.random.categorical(key_action, odds)
         greedy = jax.random.uniform(key_which) >= epsilon
@@ -268,9 +266,7 @@ class Draws(NamedTuple):
     often: jax.Array  #: how often each is drawn compared with a uniform draw
 
 
-def _mixed(
-    state: DQNState, key: Key, hparams: DQNHParams, config: DQNConfig
-) -> tuple[Window, Draws]:
+def _mixed(state: DQNState, key: Key, hparams: DQNHParams, config) -> tuple[Window, Draws]:
     """A batch of windows, a share of them fake."""
     key_source, key_real, key_fake = jax.random.split(key, 3)
     shape = (config.batch,)

@@ -18,7 +18,7 @@ from jaxdyna.dyna.config import DynaConfig, DynaHParams
 from jaxdyna.dyna.parts import Dyna, DynaState, Metrics, check_hparams, check_parts, check_shapes
 from jaxdyna.replay import ring
 from jaxdyna.rollout import rollout
-from jaxdyna.trees import finite, where_needed
+from jaxdyna.trees import finite, where, where_needed
 from jaxdyna.types import Key, Transition, check_key
 
 DIVERGED = ("world", "agent", "model")
@@ -270,10 +270,7 @@ def train_model(
     drawn = memory.draw(held, key_sample, shape, config.rare_share)
     (model, _), losses = jax.lax.scan(update, (state.model, key_update), drawn)
     loss = losses["loss"].mean() if config.model_updates else jnp.float32(0)
-    model = jax.tree.map(
-        lambda new, old: jnp.where(hparams.model_trains, new, old), model, state.model
-    )
-    return model, {"model_loss": loss}
+    return where(hparams.model_trains, model, state.model), {"model_loss": loss}
 
 
 def play_dreams(
