@@ -91,14 +91,11 @@ def standard_arms(
     dyna: Dyna, config: DynaConfig, hparams: DynaHParams, true: Dyna | None, hooks: Hooks, *,
     untrained: Mapping[str, Any] = {}, busier: Agent | None = None,
 ) -> dict[str, Made]:  # fmt: skip
-    """What makes each of the standard arms, by name; see `SAID`.
+    """What makes each of the standard arms, by name, see `SAID`: of the parts, counts and values of
+    ``dyna``, and what is wanted of the runs.
 
     Args:
-        dyna: the parts of ``dyna``.
-        config: its counts.
-        hparams: its values.
         true: the oracle's parts; None where the true environment cannot be had.
-        hooks: what is wanted of the runs.
         untrained: what the placebo changes in the dream's hparams, whose model is as uncertain as
             it likes.
         busier: a DQN with the updates after dreams made after real episodes; None where the agent
