@@ -159,6 +159,20 @@ class Host:
         self.render_mode = _check_render_mode(env, self.params, render_mode)
         self._state: Any = None
 
+    def _chosen(self, action: Any) -> Any:
+        """As the environment takes it: JAX's numbers too, and of vectors those of 64 bits."""
+        if self._state is None:
+            raise ValueError("step before reset: call reset() first")
+        space: Any = self.action_space  # type: ignore[attr-defined]
+        chosen = np.asarray(action, np.float32 if isinstance(space, spaces.Box) else None)
+        if not space.contains(chosen):
+            raise ValueError(f"action {action!r} is not in {space}")
+        return chosen
+
+    def _seeds(self, count: int) -> np.ndarray:
+        generator: np.random.Generator = self.np_random  # type: ignore[attr-defined]
+        return generator.integers(0, 2**32, size=count, dtype=np.uint32)
+
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "env": ByValue(self.env)}
 
@@ -191,7 +205,7 @@ class HostEnv(Host, gymnasium.Env[np.ndarray, np.int64]):
             obs = _first_obs(self.env, options, self.observation_space, self.np_random)
             self._state = self.env.state_of(jnp.asarray(obs))  # type: ignore[attr-defined]
         else:
-            obs, self._state = _reset(self.env, self.params, _draw_seeds(self.np_random, 1)[0])
+            obs, self._state = _reset(self.env, self.params, self._seeds(1)[0])
         self._end, self._steps = None, 0
         return np.array(obs), {}
 
@@ -199,17 +213,12 @@ class HostEnv(Host, gymnasium.Env[np.ndarray, np.int64]):
         """Plays one step; `ValueError` before a reset, or where the action is none of the action
         space. After the end of an episode nothing moves and nothing is paid, and Gymnasium warns.
         """
-        if self._state is None:
-            raise ValueError("step before reset: call reset() first")
-        chosen: Any = _given(self.action_space, action)
-        if not self.action_space.contains(chosen):
-            raise ValueError(f"action {action!r} is not in {self.action_space}")
+        chosen = self._chosen(action)
         if self._end is not None:
             gymnasium.logger.warn("step after the end of the episode: call reset() first")
             return self._end[0].copy(), 0.0, *self._end[1:], {}
-        seed = _draw_seeds(self.np_random, 1)[0]
         obs, self._state, reward, terminated, truncated, info = _step(
-            self.env, self.params, seed, self._state, jnp.asarray(chosen)
+            self.env, self.params, self._seeds(1)[0], self._state, jnp.asarray(chosen)
         )
         self._steps += 1
         if self._steps >= self.params.max_steps and not self._limited:
@@ -257,7 +266,7 @@ class HostVectorEnv(Host, VectorEnv):
         if options:
             raise ValueError(f"options {sorted(options)}: give them to a single environment")
         super().reset(seed=seed)
-        seeds = _draw_seeds(self.np_random, self.num_envs)
+        seeds = self._seeds(self.num_envs)
         obs, self._state = jax.vmap(partial(_reset, self.env, self.params))(seeds)
         self._ended = np.zeros(self.num_envs, bool)
         return np.array(obs), {}
@@ -266,14 +275,9 @@ class HostVectorEnv(Host, VectorEnv):
         """Plays one step in every copy; those that ended in the last one start anew instead, with
         reward 0. What ``info`` has of a copy counts where its underscored twin is true.
         """
-        if self._state is None:
-            raise ValueError("step before reset: call reset() first")
-        chosen = _given(self.action_space, actions)
-        if not self.action_space.contains(chosen):
-            raise ValueError(f"actions {actions!r} are not in {self.action_space}")
-        seeds = _draw_seeds(self.np_random, self.num_envs)
+        chosen, seeds = jnp.asarray(self._chosen(actions)), self._seeds(self.num_envs)
         obs, self._state, *outcome, info = _vector_step(
-            self.env, self.params, seeds, self._state, jnp.asarray(chosen), self._ended
+            self.env, self.params, seeds, self._state, chosen, self._ended
         )
         reward, terminated, truncated = (np.asarray(part) for part in outcome)
         played, self._ended = ~self._ended, terminated | truncated
@@ -328,15 +332,6 @@ def _first_obs(
         return obs.astype(space.dtype)
     takes = f"obs {space.shape}, or low and high, in this order of size" if known else "no options"
     raise ValueError(f"options are {options}: {type(env).__name__} takes {takes}")
-
-
-def _given(space: spaces.Space, actions: Any) -> np.ndarray:
-    """JAX's numbers too, and of vectors those of 64 bits."""
-    return np.asarray(actions, np.float32 if isinstance(space, spaces.Box) else None)
-
-
-def _draw_seeds(generator: np.random.Generator, count: int) -> np.ndarray:
-    return generator.integers(0, 2**32, size=count, dtype=np.uint32)
 
 
 @partial(jax.jit, static_argnums=0)
