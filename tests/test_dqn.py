@@ -106,7 +106,7 @@ def known(config, reward, terminated, weight=1.0):
 
 
 def descent(key, hparams, config, reward=2.0, terminated=False, weight=1.0, priority=1.0):
-    """One gradient step of it: what is learned, and the loss. Its first real step is drawn so many
+    """One gradient step of it: the new state, and the loss. Its first real step is drawn so many
     times as often as the other.
     """
     return _one_step(key, hparams, config, reward, terminated, weight, priority)
@@ -158,14 +158,14 @@ def test_importance_weights_by_hand():
 def test_priorities_by_hand():
     hparams = HALVES.replace(fake_share=1.0, priority_exponent=0.5)
     learned, _ = descent(jax.random.key(0), hparams, SIMPLE)
-    assert learned["real"].priority[0] == 1
-    np.testing.assert_allclose(learned["fake"].priority[0], np.sqrt(1.5 + 0.001), rtol=1e-6)
+    assert learned.real.priority[0] == 1
+    np.testing.assert_allclose(learned.fake.priority[0], np.sqrt(1.5 + 0.001), rtol=1e-6)
 
 
 def test_the_optimiser_remembers():
     """Adam corrects its moments by the number of steps that were made."""
     learned, _ = descent(jax.random.key(0), HALVES, SIMPLE)
-    assert optax.tree.get(learned["opt_state"], "count") == 6
+    assert optax.tree.get(learned.opt_state, "count") == 6
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -43,7 +43,6 @@ class DQNState:
 
 
 BEGUN = ("params", "target", "opt_state", "steps")
-LEARNED = (*BEGUN, "real", "fake")
 
 
 def dqn(
@@ -113,10 +112,9 @@ def dqn(
         key_drift, key_steps, key_begin = jax.random.split(key, 3)
         if config.reset_every:
             state = _begin_anew(state, partial(begun, key_begin, hparams), config.reset_every)
-        learned, loss = _descend_often(values, config, state, key_steps, hparams, updates, more)
+        state, loss = _descend_often(values, config, state, key_steps, hparams, updates, more)
         drift = config.drift * jax.random.normal(key_drift, (num_actions,))
-        explored = replace(state.exploration, drift=drift)
-        return replace(state, exploration=explored, **learned), {"loss": loss}
+        return replace(state, exploration=replace(state.exploration, drift=drift)), {"loss": loss}
 
     def update(state: DQNState, transitions: Transition, key: Key, hparams: DQNHParams):
         """Stores the episodes, then the gradient steps that `DQNConfig` says."""
@@ -195,33 +193,32 @@ def _begin_anew(state: DQNState, begun: Callable[[], dict], every: int) -> DQNSt
 def _descend_often(
     values: Values, config: DQNConfig, state: DQNState, key: Key, hparams: DQNHParams,
     updates: int, more: jax.Array | None,
-) -> tuple[dict[str, Any], jax.Array]:  # fmt: skip
-    """So many gradient steps; returns what of the state they change, and the mean loss."""
+) -> tuple[DQNState, jax.Array]:  # fmt: skip
+    """So many gradient steps, and the mean loss."""
 
-    def step(carry: tuple[dict, Key], _: None):
-        learned, key = carry
+    def step(carry: tuple[DQNState, Key], _: None):
+        state, key = carry
         key, key_now = jax.random.split(key)
-        learned, loss = _descend(values, config, replace(state, **learned), key_now, hparams)
-        return (learned, key), loss
+        state, loss = _descend(values, config, state, key_now, hparams)
+        return (state, key), loss
 
     def counted(_: jax.Array, carry: tuple):
         carry, total = carry
         carry, loss = step(carry, None)
         return carry, (total + loss).astype(total.dtype)
 
-    start = {name: getattr(state, name) for name in LEARNED}, key
     if more is None:
-        (learned, _), losses = jax.lax.scan(step, start, length=updates)
-        return learned, losses.mean() if updates else jnp.float32(0)
+        (state, _), losses = jax.lax.scan(step, (state, key), length=updates)
+        return state, losses.mean() if updates else jnp.float32(0)
     count = updates + more
-    (learned, _), total = jax.lax.fori_loop(0, count, counted, (start, jnp.float32(0)))
-    return learned, total / jnp.maximum(count, 1)
+    (state, _), total = jax.lax.fori_loop(0, count, counted, ((state, key), jnp.float32(0)))
+    return state, total / jnp.maximum(count, 1)
 
 
 def _descend(
     values: Values, config: DQNConfig, state: DQNState, key: Key, hparams: DQNHParams
-) -> tuple[dict[str, Any], jax.Array]:
-    """One gradient step; returns what of the state it changes, and the loss."""
+) -> tuple[DQNState, jax.Array]:
+    """One gradient step, and the loss."""
     batch, draws = _mixed(state, key, hparams, config)
     next_target = values(state.target, batch.last_obs)
     choice = values(state.params, batch.last_obs) if config.double else next_target
@@ -252,9 +249,8 @@ def _descend(
             (state.fake, draws.fake, draws.is_fake),
         )
     )
-    learned = (params, target, opt_state, steps, real, fake)
-    held = tuple(getattr(state, name) for name in LEARNED)
-    return dict(zip(LEARNED, as_held(learned, held), strict=True)), loss
+    new = DQNState(params, target, opt_state, steps, state.exploration, real, fake)
+    return as_held(new, state), loss
 
 
 class Draws(NamedTuple):
