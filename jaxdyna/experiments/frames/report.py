@@ -170,9 +170,7 @@ class FrameReport:
         return header, rows if scores else paper + rows
 
     def dream_table(self, record: Record, suffix: str = "") -> Table:
-        """Scores by dreamed steps, after the last stage; with the suffix ``_apart`` of those steps
-        that were counted apart, and of how many.
-        """
+        """Scores by dreamed steps after the last stage; ``_apart``: of those counted apart."""
         parts = [
             ([self.dreamer(arm, rule), f"{step} (of {said['dreams']})" if suffix else step], said)
             for arm, name in self.last(record).items()

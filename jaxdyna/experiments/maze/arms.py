@@ -107,9 +107,8 @@ def parts(
     maze: Maze, agent: DQNConfig, model: PixelConfig, common: int | None = None,
     shared: Any = real_memory, first: bool = False,
 ) -> Dyna:  # fmt: skip
-    """The parts of ``dyna``: one object, and so one program, for the same settings. With a model
-    that is judged on `common_transitions` of so many steps, if any; ``shared`` and ``first``: see
-    `frame_dyna`.
+    """The parts of ``dyna``: one object, and so one program, for the same settings. Its model is
+    judged on `common_transitions` of so many steps, if any; the rest is `frame_dyna`'s.
     """
     env, shape = FrameStack(maze), (maze.size, maze.size, 3)
     learner, learned = dqn(shape, len(MOVES), agent), pixels(shape, len(MOVES), model)

@@ -53,9 +53,7 @@ class Ground(NamedTuple):
 
 
 def measure(ground: Ground, contenders: Iterable[Contender], say: Any) -> list[Results]:
-    """A row a contender: its returns, their share of what could be had, how much more that is than
-    the first contender's, and milliseconds.
-    """
+    """A row a contender: returns, share of what could be had, gain on the first's, milliseconds."""
     rows: list[Results] = []
     for contender in contenders:
         who, world, steps, act = contender

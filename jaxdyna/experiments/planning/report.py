@@ -79,9 +79,7 @@ def table(rows: list[Results]) -> str:
 
 
 def figure(path: Path, places: dict[str, list[Results]]) -> None:
-    """Share of what could be had against milliseconds a decision, drawn as a PNG: a panel an
-    environment, a line a planner, a dot a budget.
-    """
+    """Share of what could be had against milliseconds: a panel a place, a line a planner."""
     drawn, panels = plots.laid_out(len(places), sharey=True)
     for panel, (name, here) in zip(panels.flat, places.items(), strict=False):
         for label in dict.fromkeys(row["label"] for row in here):

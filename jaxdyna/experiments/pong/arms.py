@@ -72,9 +72,7 @@ def arms(options: PongOptions) -> dict[str, study.Made]:
 
 
 def network_of(options: PongOptions, game: Any) -> Any:
-    """The agent's: it is told where objects are where each has a channel, and sees no more than
-    pixels where they have the game's colours.
-    """
+    """The agent's: told where objects are if each has a channel, else it sees pixels alone."""
     if options.frames == "objects":
         return FeaturePointQ(game.num_actions)
     sizes = game.num_actions, options.convolutions, options.agent_dense

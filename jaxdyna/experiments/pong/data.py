@@ -56,9 +56,7 @@ def states(game: Pong, params: PongParams) -> Source:
 
 @cache
 def screens(game: AtariPong, steps: int) -> Source:
-    """The real game, kept as a byte a pixel, a bit an object: a thousand episodes of 40x40 are 0.3
-    GB. One object, and so one program, for the same settings.
-    """
+    """The real game, a byte a pixel, a bit an object: a thousand episodes of 40x40 are 0.3 GB."""
 
     def keep(frame: jax.Array, state: Any) -> jax.Array:
         return ((frame > 127).astype(jnp.uint8) << BITS).sum(-1, dtype=jnp.uint8)

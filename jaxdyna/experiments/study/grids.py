@@ -70,9 +70,7 @@ def both_grids(
     world: str, of: Experiment, ratios: Sequence[float], between: int, counts: Sequence[int],
     kept: int,
 ) -> tuple[Study, Study]:  # fmt: skip
-    """Those of a DQN in a world, called so in titles, whose episodes are all ``steps`` long; for
-    the numbers see `baselines` and `dreams`.
-    """
+    """Those of a DQN in a world, called so in titles; for numbers see `baselines` and `dreams`."""
     alone = grid(
         "baselines", f"The strongest agent without a model in {world}", of, "model_free",
         lambda options: baselines(
