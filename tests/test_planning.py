@@ -21,7 +21,7 @@ from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.engine.session import Session
 from jaxdyna.experiments.maze import MAZE
 from jaxdyna.experiments.maze.arms import agent_of, model_of, parts
-from jaxdyna.experiments.planning import budgets, grounds, report
+from jaxdyna.experiments.planning import budgets, deciding, grounds, report
 from jaxdyna.experiments.planning.budgets import Contender, Ground
 from jaxdyna.experiments.report.rows import _ratio
 from jaxdyna.fields import changed
@@ -96,9 +96,9 @@ def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_
     arguments = [*tiny.PLANNING, "--arms", "model_free", "--out", str(tmp_path)]
     with monkeypatch.context() as patch:
         patch.setattr(Session, "_play", interrupted)
-        patch.setitem(planning.GROUNDS, "cartpole", simple)
+        patch.setitem(deciding.GROUNDS, "cartpole", simple)
         assert play(*arguments) == 130
-    monkeypatch.setattr(planning, "measure", measured_again)
+    monkeypatch.setattr(deciding, "measure", measured_again)
     assert play(*arguments, "--resume") == 0
     results = json.loads((tmp_path / "results.json").read_text())
     assert [row["label"] for row in results["budgets"]] == ["policy", "MPC (true world)"]
