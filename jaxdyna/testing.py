@@ -22,7 +22,10 @@ ERRORS: dict[type[Exception], str] = {
     jax.errors.JAXTypeError: "makes a Python number of a traced value: compute by jax.numpy",
 }
 """What errors of JAX mean, the first that fits."""
-PADDING = "depends on the padding, masked steps after the end: divide by the sum of the mask"
+PADDING = (
+    "depends on the padding, masked steps after the end: weigh steps by transitions.weights, "
+    "divide by their sum, and let sums over what follows end where an episode ends"
+)
 EPISODES = "transitions have not the axes of episodes: give those of a rollout, [N, T]"
 AXES = "depends on how many leading axes transitions have: flatten as many as the mask has"
 
@@ -68,12 +71,14 @@ def check_environment(env: Environment, params: Any = None, random: bool | None 
         for end, beyond in ((low, low - 9), (high, high + 9)):
             far, near = (step(_keys(2)[0], state, action, params) for action in (beyond, end))
             _same(far, near, wrong, 1e-6)
-    ended, _ = _play(reset, step, space, params, actions)
-    if ended:  # the step that terminates is now the last one too
-        change = getattr(params, "replace", None) or params._replace
-        _play(reset, step, space, change(max_steps=ended), actions)
+    ended, *_ = _play(reset, step, space, params, actions)
+    change = getattr(params, "replace", None) or params._replace
+    last = ended or STEPS  # the step that terminates is now the last one too
+    *_, alive = _play(reset, step, space, change(max_steps=last), actions[:last])
+    wrong = f"{step.name} goes on after params.max_steps: count steps in the state, and return"
+    _demand(not alive.any(), f"{wrong} truncated = ~terminated & (time >= params.max_steps)")
     if random:
-        _, seen = _play(reset, step, space, params, actions[:, :1].repeat(ROWS, 1))
+        _, seen, _ = _play(reset, step, space, params, actions[:, :1].repeat(ROWS, 1))
         differ = any((rows != rows[0]).any() for rows in seen)
         _demand(differ, f"the seed changes nothing in {name}: draw from the key of reset or step")
 
@@ -192,9 +197,11 @@ class _Pure:
         return results
 
 
-def _play(reset: _Pure, step: _Pure, space: Any, params: Any, actions: Any) -> tuple[int, list]:
+def _play(
+    reset: _Pure, step: _Pure, space: Any, params: Any, actions: Any
+) -> tuple[int, list, np.ndarray]:
     """Judges episodes under actions ``[T, N]``, each up to its end: after how many steps the first
-    one terminated (0: none), and what there was to see, ``[N, ...]`` each.
+    one terminated (0: none), what there was to see, ``[N, ...]`` each, and which have not ended.
     """
     obs, state = reset.run(reset.batched, stack(_keys(3)), params)
     alive, ended, seen = np.ones(ROWS, bool), 0, []
@@ -217,7 +224,7 @@ def _play(reset: _Pure, step: _Pure, space: Any, params: Any, actions: Any) -> t
         alive = alive & ~(terminated | truncated)
         if not alive.any():
             break
-    return ended, seen
+    return ended, seen, alive
 
 
 def _check_update(
@@ -234,6 +241,9 @@ def _check_update(
     new, metrics = answer
     _alike(f"{name}'s state", new, state, "the state before it")
     _scalars(f"{name}'s loss", [metrics["loss"]], np.floating)
+    worse = full._replace(reward=-1 - full.reward)
+    moved = difference(new, state) or difference(learning(state, worse, key, hparams)[0], state)
+    _demand(moved, f"{name} learns nothing, it returns the state that it got: return the new one")
     finite = all(np.isfinite(leaf).all() for leaf in named_leaves(new).values())
     _demand(finite, f"{name}'s state is NaN: keep gradients finite, as that of sqrt at 0 is not")
 

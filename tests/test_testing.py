@@ -163,6 +163,9 @@ ENVIRONMENTS = {
     "callback that knows no batches": (
         walk(REWARD, lambda _, state, *__: by_host(WALK.see(state))),
         "differs under vmap", "vmap_method"),
+    "no time limit": (
+        walk(TRUNCATED, lambda truncated, *_: truncated & False), "goes on after params.max_steps",
+        "truncated = ~terminated"),
     "answer of the old Gym": (OldGym(), "does not return 6 values", "truncated, info"),
 }  # fmt: skip
 
@@ -256,6 +259,8 @@ FORMS = {  # mistakes of an update, the same for agents and models
     "structure of the state": (
         {"finished": lambda state, loss, key: (tuple(state), {"loss": loss})},
         "structure", "same pytree"),
+    "nothing learned": (
+        {"idle": lambda new, old, weight: old}, "learns nothing", "the new one"),
     "no loss": (
         {"finished": lambda state, loss, key: (state, {})}, "does not return a loss", "loss"),
     "loss of each transition": (
@@ -296,7 +301,7 @@ AGENTS = {
         {"act_fake": lambda *args: act(*args) * 1.0}, "act_fake's action is float32", "integer"),
     "padding counted": (
         {"update": learner(imitate, mean=lambda loss, weight: (weight * loss).mean())},
-        "depends on the padding", "sum of the mask"),
+        "depends on the padding", "divide by their sum"),
 } | {
     name: ({"update": learner(imitate, **how)}, *said) for name, (how, *said) in FORMS.items()
 }  # fmt: skip

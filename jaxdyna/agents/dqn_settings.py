@@ -22,7 +22,9 @@ class DQNHParams:
     epsilon_first: float = setting(
         1.0, "Share of exploratory actions in the first real episodes.", at_least=0, at_most=1
     )
-    epsilon_last: float = setting(0.0, "Likewise at last; linear between.", at_least=0, at_most=1)
+    epsilon_last: float = setting(
+        0.0, "Share of exploratory actions at last; linear between.", at_least=0, at_most=1
+    )
     epsilon_hold: float = setting(
         0.0, "Real episodes for which the share of exploratory actions stays at the first.",
         at_least=0, everyday=True)  # fmt: skip
@@ -60,7 +62,9 @@ class DQNConfig:
     updates: int = setting(
         200, "Gradient steps of the agent after each real episode.", at_least=0, everyday=True
     )
-    fake_updates: int = setting(200, "Likewise after a batch of dreams.", at_least=0, everyday=True)
+    fake_updates: int = setting(
+        200, "Gradient steps of the agent after a batch of dreams.", at_least=0, everyday=True
+    )
     updates_per_step: float = setting(
         0.0, "Gradient steps of the agent for each step of a real episode, rounded, beside the "
         "updates after it: a ratio that holds where episodes differ in length.", at_least=0,

@@ -46,7 +46,7 @@ class SupervisedConfig(Checked):
         False, "Scale inputs and state targets by their running mean and standard deviation."
     )
     scale_reward: bool = setting(
-        False, "Likewise rewards: where they are far from 1, their errors else hide the state's, "
+        False, "Scale rewards, too: where they are far from 1, their errors else hide the state's, "
         "or are hidden by them.")  # fmt: skip
     spread: float = setting(
         1.0,
