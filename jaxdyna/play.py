@@ -51,14 +51,8 @@ class Call:
     seed: int | None = setting(None, "of the run; the first that is kept")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Plays, by the arguments or the process's, and returns the exit code: see `cli.command`."""
-    words = sys.argv[1:] if argv is None else argv
-    usage = f"WORLD | --run DIR [--arm ARM] [--seed N]\n\n{Call.__doc__}\nWorlds: {WORLDS}"
-    return cli.command(Call, usage, PROG, words or ["--help"], play)
-
-
-def play(call: Call, argv: Sequence[str]) -> int:
+@cli.command(Call, PROG, "WORLD | --run DIR [--arm ARM] [--seed N]", f"\nWorlds: {WORLDS}")
+def main(call: Call, argv: Sequence[str]) -> int:
     """Steers until a key ends it; `ValueError` where there is no terminal, or nothing to watch."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise ValueError("this is no terminal: play where keys are typed and colours are shown")

@@ -74,18 +74,10 @@ class Side(NamedTuple):
         )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Compares, by the arguments or the process's, and returns the exit code: see `cli.command`."""
-    words = sys.argv[1:] if argv is None else argv
-    usage = f"DIR DIR... [--arms ARM...] [--measure FIGURE] [--out DIR]\n\n{Call.__doc__}"
-    return cli.command(Call, usage, PROG, words or ["--help"], compare)
-
-
-def compare(call: Call, argv: Sequence[str]) -> int:
-    """Writes the report and prints its tables.
-
-    Raises:
-        ValueError: where a folder has no result, or not all can be compared.
+@cli.command(Call, PROG, "DIR DIR... [--arms ARM...] [--measure FIGURE] [--out DIR]")
+def main(call: Call, argv: Sequence[str]) -> int:
+    """Writes the report and prints its tables; `ValueError` where a folder has no result, or not
+    all can be compared.
     """
     sides = chosen(call)
     first = next(iter(sides.values()))
@@ -115,10 +107,8 @@ def compare(call: Call, argv: Sequence[str]) -> int:
 
 
 def chosen(call: Call) -> dict[str, Side]:
-    """What is compared, by its name, and its folder's where several have that name.
-
-    Raises:
-        ValueError: where it cannot be.
+    """What is compared, by its name, and its folder's where several have that name; `ValueError`
+    where it cannot be.
     """
     if len({folder.resolve() for folder in call.folders}) < max(len(call.folders), 2):
         raise ValueError("give two folders or more, each of them once")
@@ -147,11 +137,7 @@ def chosen(call: Call) -> dict[str, Side]:
 
 
 def _sides(folder: Path, name: str) -> list[Side]:
-    """All that a folder has to compare.
-
-    Raises:
-        ValueError: where it has nothing.
-    """
+    """All that a folder has to compare; `ValueError` where it has nothing."""
     left = load(folder)
     results, rule = left.results, recorded(left.results)[0].rule
     if results["runs"]["shard"] != [1, 1]:

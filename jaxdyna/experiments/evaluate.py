@@ -31,15 +31,10 @@ class Call:
     film: Path | None = setting(None, "the GIF or MP4 that is made instead")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Plays, by the arguments or the process's, and returns the exit code: see `cli.command`."""
-    words = sys.argv[1:] if argv is None else argv
-    usage = f"DIR [--arm ARM...] [--seed N] [--episodes {EPISODES}] [--gymnasium] [--film FILE]"
-    usage = f"{usage}\n\n{Call.__doc__}"
-    return cli.command(Call, usage, PROG, words or ["--help"], evaluate)
-
-
-def evaluate(call: Call, argv: Sequence[str]) -> int:
+@cli.command(
+    Call, PROG, f"DIR [--arm ARM...] [--seed N] [--episodes {EPISODES}] [--gymnasium] [--film FILE]"
+)
+def main(call: Call, argv: Sequence[str]) -> int:
     """Prints what each earns, and what the report says, or films it. `ValueError` where nothing is
     kept in the folder, or Gymnasium has no such world.
     """

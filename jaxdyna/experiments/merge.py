@@ -30,15 +30,8 @@ class Call:
     out: Path = setting(help="folder for the record")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Merges, by the arguments or the process's, and returns the exit code: see `cli.command`."""
-    words = sys.argv[1:] if argv is None else argv
-    return cli.command(
-        Call, f"DIR... --out DIR\n\n{Call.__doc__}", PROG, words or ["--help"], merge
-    )
-
-
-def merge(call: Call, argv: Sequence[str]) -> int:
+@cli.command(Call, PROG, "DIR... --out DIR")
+def main(call: Call, argv: Sequence[str]) -> int:
     """Makes the record; `ValueError` where the folders are not those of one run."""
     if not call.folders or len({one.resolve() for one in call.folders}) < len(call.folders):
         raise ValueError("give the folder of each shard, each of them once")

@@ -152,16 +152,11 @@ class State:
         return ", ".join(self.stale + [OTHER_CODE] * self.other_code) or "as today"
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Does what the arguments, or the process's, ask for, and returns the exit code: see
-    `cli.command`.
-    """
-    flags = [f"  --{leaf.path}: {leaf.help}" for leaf in fields.leaves(Call())][1:]
-    usage = "\n".join(["[NAME...]", "", str(Call.__doc__), "", *flags])
-    return cli.command(Call, usage, PROG, argv, run)
+FLAGS = [f"\n  --{leaf.path}: {leaf.help}" for leaf in fields.leaves(Call())][1:]
 
 
-def run(call: Call, argv: Sequence[str]) -> int:
+@cli.command(Call, PROG, "[NAME...]", "\n" + "".join(FLAGS), bare=True)
+def main(call: Call, argv: Sequence[str]) -> int:
     """Lists, records, redraws or compares, and returns the exit code. `ValueError` where what is
     asked for cannot be.
     """

@@ -37,7 +37,6 @@ from jaxdyna.experiments.engine.record import (
     write_report,
 )
 from jaxdyna.experiments.engine.storage import InputError, Results
-from jaxdyna.fields import SettingError
 from jaxdyna.statistics import episodes_to_solve
 
 NOT_SETTINGS = ("arms",)
@@ -67,34 +66,31 @@ def main(
     prog = prog or _prog()
     processes = Processes()
     with ExitStack() as stack:
-        try:
+        with cli.refused(prog, argv):
             if said is not None:
                 processes.found(said, stack)
             session = replace(prepared(parts, argv, prog), processes=processes)
             session.begin(stack, log)
-        except SettingError as error:
-            cli.fail(f"{cli.flag_of(error, argv)} {error.said}", prog)
-        except (ValueError, ImportError) as error:
-            cli.fail(str(error), prog)
-        try:
-            return session.run()
-        except InputError as error:
-            cli.fail(str(error), prog)
+        with cli.refused(prog, argv, (InputError,)):
+            code = session.run()
+    return code
 
 
 def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str) -> Session:
-    """The session that a command line asks for; nothing is played yet."""
+    """The session that a command line asks for; nothing is played yet. `ValueError` on bad input,
+    `SystemExit` after ``--help``.
+    """
     asked = [word for word in argv if word not in ("--help", "-h", "--help-all")]
     if {"--resume", "--fresh"} <= set(asked):
-        cli.fail("--resume goes on with unfinished work, --fresh drops it: leave one out", prog)
+        raise ValueError("--resume goes on with unfinished work, --fresh drops it: leave one out")
     if "--out=" in asked or ("--out", "") in itertools.pairwise(asked):
-        cli.fail("--out is empty: name a folder, . for this one", prog)
+        raise ValueError("--out is empty: name a folder, . for this one")
     call, rest = cli.read(cli.Call, asked, prog, return_unknown_args=True)
     earlier = _earlier(call, parts[0].name)
     call = replace(call, **{name: earlier[name] for name in FROM if name in earlier})
-    part = cli.by_name({part.name: part for part in parts}, "part", call.part, prog)
+    part = cli.by_name({part.name: part for part in parts}, "part", call.part)
     experiment = part.experiment() if isinstance(part, Study) else part
-    default = cli.by_name(experiment.presets, "preset", call.preset, prog)
+    default = cli.by_name(experiment.presets, "preset", call.preset)
     default = fields.restored(default, earlier.get("config", {}))
     if earlier and call.sweep:  # its rows have other names than those of an earlier one
         arms = dict.fromkeys(name.partition("@")[0] for name in default.arms)
@@ -109,12 +105,12 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
         raise SystemExit(0)
     if call.quick:
         if not quick:
-            cli.fail(f"--quick: {experiment.name} has none: lower --seeds and --episodes", prog)
+            raise ValueError(f"--quick: {experiment.name} has none: lower --seeds and --episodes")
         default = fields.changed(default, {**quick, "quick": True})
     asked_for = cli.parse(default, rest, prog)
     options = asked_for.resolved()
     if "--arms" in rest and not options.arms:
-        cli.fail("--arms is empty: name arms, or leave it out for all", prog)
+        raise ValueError("--arms is empty: name arms, or leave it out for all")
     sweep = cli.swept(options, call.sweep) or read_back(default, earlier.get("sweep", {}))
     every = entries(experiment, asked_for, sweep)
     command = f"{prog} {shlex.join(word for word in argv if word != '--resume')}".strip()
@@ -124,9 +120,8 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     if of > 1:
         out = out / "parts" / f"{number}-of-{of}"
     return Session(
-        experiment, options, every, call.out or out, command, call.resume, call.fresh, call.shards,
-        sweep, family=parts[0].name, cache=call.cache, keep=call.keep_runs, film=call.film,
-        part=part, told=call.log)  # fmt: skip
+        parts[0].name, part, experiment, options, every, sweep, call, call.out or out, command
+    )
 
 
 def _earlier(call: cli.Call, name: str) -> Results:
@@ -157,22 +152,16 @@ def _prog() -> str:
 class Session:
     """Plays what is not finished, keeps what is on disk, and reports."""
 
+    family: str  #: the name of the experiment whose part this is
+    part: Experiment | Study  #: what ``main`` was given
     experiment: Experiment  #: what is played
     options: Any  #: its settings, resolved
     every: list[Entry]  #: each of ``results["arms"]`` that there can be
+    sweep: Mapping[str, Sequence[Any]]  #: values by dotted path
+    call: cli.Call  #: what else was asked for
     out: Path  #: the folder for the results
     command: str  #: as typed
-    resume: bool = False  #: whether to go on with what is there
-    fresh: bool = False  #: whether to drop unfinished work that is there
-    shard: tuple[int, int] = (1, 1)  #: ``(I, N)``
-    sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)  #: values by dotted path
-    family: str = ""  #: the name of the experiment whose part this is
-    cache: bool = True  #: whether compiled programs are kept for later
     processes: Processes = field(default_factory=Processes)  #: that share the work
-    keep: int = 0  #: of how many runs of each arm it is kept what they have learned
-    film: bool = False  #: whether that is filmed
-    part: Experiment | Study | None = None  #: what ``main`` was given
-    told: Sequence[str] = ()  #: who is told of the first runs, by name
     console: Console = field(
         default_factory=lambda: Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     )
@@ -182,7 +171,7 @@ class Session:
         takes up what is there or sets it aside; `ValueError` with what to change.
         """
         self.began, self.earlier = time.perf_counter(), None
-        self.share = stack.enter_context(programs.kept()) if self.cache else lambda: None
+        self.share = stack.enter_context(programs.kept()) if self.call.cache else lambda: None
         self.curves: dict[str, work.Curves] = {}
         self.timing: dict[str, dict[str, float]] = {}
         self.measured: dict[str, Any] = {}
@@ -194,7 +183,7 @@ class Session:
             raise ValueError("--shard has more parts than there are --seeds: give fewer")
         self.entries = chosen(self.every, self.options.arms)
         self.arms = {entry.name: entry.make() for entry in self.entries}
-        self.trackers = [*progress.trackers(self.told), *log]
+        self.trackers = [*progress.trackers(self.call.log), *log]
         with self.processes.after_first():
             self._take_folder(stack)
         self.logged = progress.logged(self.out)
@@ -202,7 +191,7 @@ class Session:
     def _take_folder(self, stack: ExitStack) -> None:
         first = self.processes.first
         whose = {"experiment": self.family, "part": self.experiment.name}
-        if first and self.resume and not self.out.is_dir():
+        if first and self.call.resume and not self.out.is_dir():
             raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
         if not first and not (self.checkpoints / "settings.json").is_file():
             raise ValueError(
@@ -210,10 +199,10 @@ class Session:
                 "it: choose a folder that all hosts share"
             )
         lock = stack.enter_context(folders.held(self.out, alone=first))
-        if self.resume or not first:
+        if self.call.resume or not first:
             self._take_up(whose)
         else:
-            folders.claim(self.out, whose, self.fresh)
+            folders.claim(self.out, whose, self.call.fresh)
         if first:
             self.checkpoints.mkdir(exist_ok=True)
             storage.write_json(self.checkpoints / "settings.json", self.identity() | self.made)
@@ -226,7 +215,7 @@ class Session:
         mid-run is the user's to mend.
         """
         code, first = 0, self.processes.first
-        engine = work.Engine(keep=self.keep, interrupted=self.processes.interrupted)
+        engine = work.Engine(keep=self.call.keep_runs, interrupted=self.processes.interrupted)
         self.processes.tell = self._stopped
         try:
             with _deferred_interrupt(engine):
@@ -266,7 +255,7 @@ class Session:
     @property
     def seeds(self) -> list[int]:
         """The global numbers of the runs that are played."""
-        number, of = self.shard
+        number, of = self.call.shards
         return list(range(number - 1, self.options.seeds, of))
 
     def _play(self, engine: work.Engine, arms: Mapping[str, work.Arm]) -> None:
@@ -359,7 +348,7 @@ class Session:
     def _measure(self) -> None:
         """What the host measures, unless an earlier run has it."""
         path = self.checkpoints / "measured.json"
-        before = (storage.read_json(path) or {}) if self.resume else {}
+        before = (storage.read_json(path) or {}) if self.call.resume else {}
         self.measured |= before
         for name, measure in self.experiment.measures.items():
             if name not in self.measured:
@@ -374,7 +363,7 @@ class Session:
         """What a run must have in common with the one that it resumes, or else is another one."""
         return identity_of({
             "experiment": self.family, "part": self.experiment.name,
-            "sweep": fields.plain(dict(self.sweep)), "runs": {"shard": list(self.shard)},
+            "sweep": fields.plain(dict(self.sweep)), "runs": {"shard": list(self.call.shards)},
             "config": fields.plain(self.options)})  # fmt: skip
 
     def _take_up(self, whose: Mapping[str, str]) -> None:
@@ -447,7 +436,7 @@ class Session:
         if self.earlier and self.curves.keys() <= self.earlier["arms"].keys():
             made = {name: self.earlier.get(name) for name in made}  # drawn anew, not played
             others = self.earlier.get("made_otherwise", {})
-        runs = {"seeds": self.seeds, "of": self.options.seeds, "shard": list(self.shard),
+        runs = {"seeds": self.seeds, "of": self.options.seeds, "shard": list(self.call.shards),
                 "block": self.options.block}  # fmt: skip
         about = {
             "experiment": self.family, "part": self.experiment.name, "command": self.command,
@@ -464,9 +453,9 @@ class Session:
 
     def _report(self) -> None:
         self._write()
-        if self.film and "unfinished" not in self.results:
+        if self.call.film and "unfinished" not in self.results:
             try:
-                load(self.out, *([self.part] if self.part else [])).film()
+                load(self.out, self.part).film()
             except ValueError as error:
                 self.console.print(f"There is no film: {error}", markup=False)
         record = Record(self.options, self.results, self.curves, self.out)
