@@ -17,7 +17,7 @@ from jaxdyna import fields
 from jaxdyna.experiments.engine import Curves, Experiment, Record, Results, cli, folders, storage
 from jaxdyna.experiments.engine.experiment import Entry
 from jaxdyna.experiments.engine.loaded import load
-from jaxdyna.experiments.engine.record import recorded, write_report
+from jaxdyna.experiments.engine.record import write_report
 from jaxdyna.experiments.report import sections, tables
 from jaxdyna.experiments.report.rows import counted
 from jaxdyna.experiments.report.summaries import restricted, verdict
@@ -139,7 +139,7 @@ def chosen(call: Call) -> dict[str, Side]:
 def _sides(folder: Path, name: str) -> list[Side]:
     """All that a folder has to compare; `ValueError` where it has nothing."""
     left = load(folder)
-    results, rule = left.results, recorded(left.results)[0].rule
+    results, rule = left.results, left.experiment.rule
     if results["runs"]["shard"] != [1, 1]:
         raise ValueError(f"{folder} is a shard: merge it with the others first")
     if not left.curves or left.curves.keys() - left.entries.keys():

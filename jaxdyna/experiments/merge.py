@@ -63,15 +63,12 @@ def _check(shards: Mapping[Path, Results | None], out: Path) -> None:
             raise ValueError(f"{folder} is not finished: play it on with --resume")
         if folder.resolve() == out.resolve():
             raise ValueError(f"--out {out} is one of the shards: choose another folder")
-        for name in ALIKE:
-            if results[name] != one[name]:
-                hint = " (the code of jaxdyna): play it again with the same"
-                raise ValueError(f"{folder} has another {name} than {first}"
-                                 f"{hint if name == 'source' else ''}")  # fmt: skip
         before, now = ({**said["config"], "arms": None} for said in (one, results))
-        if paths := different(before, now):
-            flags = ", ".join(f"--{path.replace('_', '-')}" for path in paths)
-            raise ValueError(f"{folder} has other settings than {first} for {flags}")
+        differ = [name for name in ALIKE if results[name] != one[name]]
+        differ += [f"--{path.replace('_', '-')}" for path in different(before, now)]
+        if differ:
+            raise ValueError(f"{folder} has another {', '.join(differ)} than {first}: play all by "
+                             "the same settings and code")  # fmt: skip
         if lacking := one["arms"].keys() ^ results["arms"].keys():
             raise ValueError(f"{', '.join(sorted(lacking))}: not in both {first} and {folder}")
         for seed in results["runs"]["seeds"]:

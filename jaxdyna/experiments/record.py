@@ -25,6 +25,7 @@ from rich.table import Table
 from jaxdyna import fields
 from jaxdyna.experiments.engine import Record, Results, cli, folders, storage
 from jaxdyna.experiments.engine.experiment import chosen
+from jaxdyna.experiments.engine.loaded import load
 from jaxdyna.experiments.engine.record import command_of, recorded, results_of, write_report
 from jaxdyna.experiments.engine.session import Session, flags_between, identity_of, prepared
 from jaxdyna.experiments.report.summaries import compare
@@ -320,15 +321,15 @@ def redraw(plans: Mapping[str, Plan], folder: Path) -> None:
         if state.results is None or state.stale:
             print(f"{name}: not drawn ({state})")
             continue
-        experiment, options, every = recorded(state.results)
-        before = storage.identity(state.results)
-        curves = storage.read_curves(out / "curves.npz", before)
+        left = load(out)
+        every, about = [*left.entries.values()], left.results
         with folders.held(out):
-            results = results_of(experiment, options, every, curves, state.results)
+            results = results_of(left.experiment, left.options, every, left.curves, about)
             storage.write_json(out / "results.json", results)
-            if (now := storage.identity(results)) != before:  # settings that there were not then
-                storage.write_curves(out / "curves.npz", curves, now)
-            write_report(experiment, Record(options, results, curves, out))
+            now = storage.identity(results)
+            if now != storage.identity(about):  # settings that there were not then
+                storage.write_curves(out / "curves.npz", left.curves, now)
+            write_report(left.experiment, Record(left.options, results, left.curves, out))
         print(f"{name}: drawn")
 
 

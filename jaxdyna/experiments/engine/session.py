@@ -200,7 +200,12 @@ class Session:
             )
         lock = stack.enter_context(folders.held(self.out, alone=first))
         if self.call.resume or not first:
-            self._take_up(whose)
+            try:
+                self._take_up(whose)
+            except (KeyError, TypeError, AttributeError) as error:
+                raise ValueError(
+                    f"{self.out / 'results.json'} is not as it was written ({error!r}): restore it"
+                ) from None
         else:
             folders.claim(self.out, whose, self.call.fresh)
         if first:
@@ -372,19 +377,12 @@ class Session:
         """
         begun = storage.read_json(self.checkpoints / "settings.json")
         results = storage.read_json(self.out / "results.json")
-        try:
-            self._take_up_from(begun, results, whose)
-        except (KeyError, TypeError, AttributeError) as error:
-            raise ValueError(
-                f"{self.out / 'results.json'} is not as it was written ({error!r}): restore it"
-            ) from None
-
-    def _take_up_from(self, begun: Any, results: Any, whose: Mapping[str, str]) -> None:
         if not all(folders.is_of(about, whose) for about in (begun, results) if about is not None):
             raise ValueError(f"--out {self.out} has files of no such run: choose its own folder")
         finished, now = results and identity_of(results), self.identity()
+        stores = [*map(Store, {path.parent for path in checkpoints_below(self.checkpoints)})]
         before = begun or finished
-        if before is None and checkpoints_below(self.checkpoints):
+        if before is None and stores:
             raise ValueError(
                 f"{self.checkpoints / 'settings.json'} is gone: restore it, or remove that folder"
             )
@@ -396,10 +394,6 @@ class Session:
                 "choose another --out"
             )
         begun_with = {name: (begun or {}).get(name) for name in self.made}
-        stores = [
-            Store(folder)
-            for folder in {path.parent for path in checkpoints_below(self.checkpoints)}
-        ]
         if (stores or not self.processes.first) and begun_with != self.made:
             raise ValueError(
                 f"the run in {self.out} was begun with {storage.changes(begun_with, self.made)}: a "

@@ -31,8 +31,6 @@ CHECKSUM = "checksum"
 DAMAGED = (
     KeyError, OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error
 )  # fmt: skip
-#: what arrays of earlier records are called today
-FORMERLY = {"oracle_return": "optimal_return", "greedy_oracle": "greedy_optimal"}
 PACKAGE = Path(jaxdyna.__file__).resolve().parent
 
 
@@ -173,7 +171,7 @@ def read_curves(path: Path, whose: str = "") -> dict[str, dict[str, np.ndarray]]
         arrays = read_arrays(path, whose=whose) if path.exists() else {}
         for name, values in arrays.items():
             arm, _, array = name.rpartition("/")
-            arms.setdefault(arm, {})[FORMERLY.get(array, array)] = values
+            arms.setdefault(arm, {})[array] = values
     except ValueError as error:
         raise ValueError(f"{error}: restore it, or remove it to play all of it again") from None
     return arms
