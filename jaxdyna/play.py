@@ -108,15 +108,12 @@ def keyboard() -> Iterator[None]:
         sys.exit(128 + number)
 
     modes = termios.tcgetattr(sys.stdin)
-    ends = {signal.SIGTERM: end, signal.SIGINT: signal.default_int_handler}
-    before = {number: signal.signal(number, handler) for number, handler in ends.items()}
-    try:
-        tty.setcbreak(sys.stdin)
-        yield
-    finally:
-        termios.tcsetattr(sys.stdin, termios.TCSAFLUSH, modes)
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with cli.receiving({signal.SIGTERM: end, signal.SIGINT: signal.default_int_handler}):
+        try:
+            tty.setcbreak(sys.stdin)
+            yield
+        finally:
+            termios.tcsetattr(sys.stdin, termios.TCSAFLUSH, modes)
 
 
 def steer(scene: Scene, actions: Mapping[str, Any], live: Live) -> None:

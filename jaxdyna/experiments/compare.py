@@ -203,7 +203,7 @@ def table(record: Any) -> str:
     ]  # fmt: skip
     header = ["compared", "ratio (95% interval)", "p", "Holm's p", "sooner (p)", "they are"]
     first, measure = next(iter(results["arms"].values())), results["config"]["measure"]
-    solved = markdown_table(*tables.solve_table(results, measure))
+    solved = tables.side_by_side(tables.solving(results, measure))
     return paragraphs(counted(first, measure), solved, markdown_table(header, rows), SAID)
 
 

@@ -7,7 +7,6 @@ before they were made. A record is the folder of its name.
 """
 
 import shlex
-import signal
 import subprocess
 import sys
 import tomllib
@@ -301,14 +300,11 @@ def _run(module: str, *flags: str) -> int:
     """
     words = [sys.executable, "-m", f"{PACKAGE}.{module}", *flags]
     print(f"$ python {shlex.join(words[1:])}", flush=True)
-    with subprocess.Popen(words, start_new_session=True) as child:
-        ends = (signal.SIGINT, signal.SIGTERM)
-        before = {one: signal.signal(one, lambda sent, _: child.send_signal(sent)) for one in ends}
-        try:
-            code = child.wait()
-        finally:
-            for one, handler in before.items():
-                signal.signal(one, handler)
+    with (
+        subprocess.Popen(words, start_new_session=True) as child,
+        cli.receiving(dict.fromkeys(cli.ENDS, lambda sent, _: child.send_signal(sent))),
+    ):
+        code = child.wait()
     return code if code >= 0 else 128 - code
 
 

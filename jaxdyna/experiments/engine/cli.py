@@ -6,6 +6,7 @@ import dataclasses
 import io
 import re
 import shutil
+import signal
 import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -69,6 +70,7 @@ class Call:
         return int(number), int(of)
 
 
+ENDS = signal.SIGINT, signal.SIGTERM
 NOT_SWEPT = {leaf.path.rstrip("_") for kind in (Call, Options) for leaf in fields.leaves(kind())}
 
 
@@ -249,6 +251,17 @@ def refused(
         if isinstance(error, SettingError):
             fail(f"{flag_of(error, argv)} {error.said}", prog)
         fail(str(error), prog)
+
+
+@contextlib.contextmanager
+def receiving(handlers: Mapping[int, Any]) -> Iterator[None]:
+    """Who receives signals meanwhile, by their numbers; in the main thread alone."""
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def fail(message: str, prog: str) -> NoReturn:

@@ -137,7 +137,6 @@ class Entry(NamedTuple):
 
     name: str  #: of the entry
     arm: str  #: its name alone
-    setting: str | None  #: the rest of it, None where there is none
     names: tuple[str, ...]  #: by any of which it is asked for
     options: Any  #: the experiment's in that setting, resolved
     make: Callable[[], Arm]  #: makes it
@@ -176,7 +175,7 @@ def entries(
             full = f"{arm}@{where}" if where else arm
             if name in table:
                 own = study.setup(setup, row) if study else setup
-                made.append(Entry(full, arm, where or None, (arm, name, full), own, table[name]))
+                made.append(Entry(full, arm, (arm, name, full), own, table[name]))
     return made
 
 

@@ -6,8 +6,8 @@ import gc
 import itertools
 import json
 import shlex
-import signal
 import sys
+import threading
 import time
 import zlib
 from collections import Counter
@@ -503,15 +503,8 @@ def _deferred_interrupt(engine: work.Engine) -> Iterator[None]:
             raise KeyboardInterrupt
         engine.interrupted.set()
 
-    try:
-        before = {one: signal.signal(one, receive) for one in (signal.SIGINT, signal.SIGTERM)}
-    except ValueError:  # not the main thread
+    main = threading.current_thread() is threading.main_thread()
+    with cli.receiving(dict.fromkeys(cli.ENDS, receive) if main else {}):
         yield
-        return
-    try:
-        yield
-        if engine.interrupted.is_set():
-            raise work.Interrupted
-    finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
+    if engine.interrupted.is_set():
+        raise work.Interrupted

@@ -18,28 +18,24 @@ def rows(record: Any, column: str = "episodes_to_solve") -> str:
     results, options = record.results, record.options
     if not results["arms"]:
         return ""
-    (_, *header), lines = tables.solve_table(results, column)
-    first, *_ = arms = list(results["arms"].values())
     figures = {name: figure_at(arm, column) for name, arm in results["arms"].items()}
-    for line, arm in zip(lines, arms, strict=True):
-        dreams = arm.get("first_dreams")
-        line += [
-            "-" if arm is first else _ratio(figure_at(arm, column), figure_at(first, column)),
-            f"{whole(dreams['fake_return'])} / {whole(dreams['real_return'])}" if dreams else "-",
-        ]
+    (name, first), *others = figures.items()
+    columns = tables.solving(results, column, "row")
+    columns["ratio to the first row"] = ["-", *(_ratio(figure, first) for _, figure in others)]
+    columns["fake / real return"] = [
+        f"{whole(dreams['fake_return'])} / {whole(dreams['real_return'])}" if dreams else "-"
+        for dreams in (arm.get("first_dreams") for arm in results["arms"].values())]  # fmt: skip
     solved = {name: per_seed(figure) for name, figure in figures.items()}
     there = plots.solve_bars(record.out / "variants.png", solved, limit(results["arms"], column),
                              tables.spoken(column))  # fmt: skip
     return paragraphs(
         f"{tables.runs(len(results['runs']['seeds']))} of each row. The first row is the "
         f"`{options.preset}` preset; every other one changes what it says. "
-        f"{counted(first, column)} At most {options.episodes} episodes; an unsolved run counts as "
-        "what it played. The seeds are the same in "
-        f"every row, so that the ratio to «{lines[0][0]}» is paired. "
+        f"{counted(results['arms'][name], column)} At most {options.episodes} episodes; an "
+        "unsolved run counts as what it played. The seeds are the same in "
+        f"every row, so that the ratio to «{name}» is paired. "
         f"Fake and real return: medians over the first {FIRST_DREAMS} episodes with dreams.",
-        tables.markdown_table(
-            ["row", *header, "ratio to the first row", "fake / real return"], lines
-        ),
+        tables.side_by_side(columns),
         "![every run of every row](variants.png)" if there else "",
     )
 
@@ -56,7 +52,6 @@ def ranking(record: Any, grid: Callable[[Any], Mapping[str, Any]]) -> str:
         results["arms"], key=lambda name: results["arms"][name][column]["restricted_mean"]
     )
     arms = {name: results["arms"][name] for name in order}
-    (_, *header), lines = tables.solve_table(results | {"arms": arms})
     solved = {name: per_seed(arm[column]) for name, arm in arms.items()}
     there = plots.solve_bars(record.out / "variants.png", solved, limit(arms, column),
                              "episodes to solve")  # fmt: skip
@@ -69,7 +64,7 @@ def ranking(record: Any, grid: Callable[[Any], Mapping[str, Any]]) -> str:
         "the order of their restricted means. The best of many looks better than it is: these "
         "seeds choose a setting, others say what it is worth.",
         _winner(arms[order[0]][column], order[0], names),
-        tables.markdown_table(["row", *header], lines),
+        tables.side_by_side(tables.solving(results | {"arms": arms}, of="row")),
         "![every run of every row](variants.png)" if there else "",
         f"All rows together took {seconds / 3600:.2f} hours of {results['device']['cpu_cores']} "
         "cores.",
