@@ -283,7 +283,7 @@ class Session:
             folder = self.checkpoints / _identifier(group, runs)
             if rows:
                 works[name] = played[0].work, runs.only(rows)
-                stores[name] = Store(folder, self.console.print, rows)
+                stores[name] = Store(folder, self.console.print)
                 totals[name] = int(works[name][1].units.max()), len(rows)
                 told[name] = self._told(group, rows)
         names = [*works]
@@ -352,17 +352,13 @@ class Session:
 
     def _measure(self) -> None:
         """What the host measures, unless an earlier run has it."""
-        path = self.checkpoints / "measured.json"
-        before = (storage.read_json(path) or {}) if self.call.resume else {}
-        self.measured |= before
         for name, measure in self.experiment.measures.items():
             if name not in self.measured:
                 began = time.perf_counter()
                 found = measure(self.options, self.console.print)
-                seconds = {"measure_s": time.perf_counter() - began}
+                self.timing[name] = {"measure_s": time.perf_counter() - began}
                 self.measured[name] = json.loads(json.dumps(found))
-                self.timing[name] = seconds
-                storage.write_json(path, self.measured)
+                self._write()
 
     def identity(self) -> Results:
         """What a run must have in common with the one that it resumes, or else is another one."""
@@ -427,7 +423,8 @@ class Session:
         if self.processes.of > 1:
             timing["shards"] = self.processes.of
         made, others = storage.provenance(self.made, self.earlier), self.others
-        if self.earlier and self.curves.keys() <= self.earlier["arms"].keys():
+        done = self.curves.keys() | self.measured.keys()
+        if self.earlier and done <= self.earlier["arms"].keys() | self.earlier.keys():
             made = {name: self.earlier.get(name) for name in made}  # drawn anew, not played
             others = self.earlier.get("made_otherwise", {})
         runs = {"seeds": self.seeds, "of": self.options.seeds, "shard": list(self.call.shards),

@@ -88,6 +88,7 @@ class Runs(NamedTuple):
     base: int  #: the base seed
     hparams: Any  #: leaves ``[runs, ...]``
     units: np.ndarray  #: the most that each plays, ``[runs]``
+    row: np.ndarray  #: which it is of all runs of the work, ``[runs]``
 
     @property
     def keys(self) -> Key:
@@ -96,10 +97,10 @@ class Runs(NamedTuple):
 
     def only(self, rows: Sequence[int]) -> Runs:
         """Some of them."""
-        seed, hparams, units = jax.tree.map(
-            lambda leaf: leaf[np.array(rows)], (self.seed, self.hparams, self.units)
+        seed, hparams, units, row = jax.tree.map(
+            lambda leaf: leaf[np.array(rows)], (self.seed, self.hparams, self.units, self.row)
         )
-        return Runs(seed, self.base, hparams, units)
+        return Runs(seed, self.base, hparams, units, row)
 
     @property
     def judging(self) -> Key:
@@ -122,6 +123,7 @@ def runs_of(arms: Sequence[Arm], seeds: Sequence[int], base: int) -> Runs:
         base=base,
         hparams=jax.tree.map(along, *(arm.hparams for arm in arms)),
         units=np.repeat([arm.units for arm in arms], len(seeds)),
+        row=np.arange(len(arms) * len(seeds)),
     )
 
 
@@ -266,9 +268,8 @@ class _Program:
     """A work for blocks of its size on one device: lowered, then compiled."""
 
     def __init__(self, work: Work, runs: Runs, collected: Any, place: jax.Device, at_once: int):
-        self.work, self.place = work, place
-        self.at_once = at_once
-        keys, hparams = self.put(_shaped(work.block, (runs.keys, runs.hparams)))
+        self.work, self.place, self.at_once = work, place, at_once
+        keys, hparams = self.shapes((runs.keys, runs.hparams))
 
         def piece(state: Any, data: Any, first: jax.Array, count: jax.Array, hparams: Any) -> Any:
             def one(state: Any, data: Any, hparams: Any) -> Any:
@@ -278,20 +279,19 @@ class _Program:
 
         start = jax.jit(over_runs(work.init, work.block)).lower(keys, hparams)
         making = work.data and jax.jit(over_runs(work.data, work.block)).lower(keys, hparams)
-        data = making.out_info if making else _shaped(work.block, collected)
-        state, data = self.put((start.out_info, data))
+        state, data = self.shapes((start.out_info, making.out_info if making else collected))
         afford(held(state, data), work.block, at_once, place)  # before it compiles for minutes
-        number = self.put(jax.ShapeDtypeStruct((), jnp.int32))
+        key, number = jax.device_put((runs.judging[0], np.int32(0)), place)
         piece_of = jax.jit(piece, donate_argnums=0).lower(state, data, number, number, hparams)
         seldom: dict[str, Any] = {"start": start, "data": making}
         own = jax.tree.map(itemgetter(0), runs.hparams)
         keeper = work.trained and Keeper(work.init, work.trained, own)
         hooks = work.judge, work.show, keeper.keep if keeper else None
-        told = self.put(runs.judging[0]), number, (state, data, hparams)
+        told = state, data, hparams
         for name, hook in zip(HOOKS, hooks, strict=True):
-            seldom[name] = hook and jax.jit(partial(_of_one, hook)).lower(*told)
+            seldom[name] = hook and jax.jit(partial(_of_one, hook)).lower(key, number, told)
         if keeper:
-            seldom["play"] = keeper.play.lower(seldom["keep"].out_info, told[0], own, EPISODES)
+            seldom["play"] = keeper.play.lower(seldom["keep"].out_info, key, own, EPISODES)
         self.lowered = {name: (one, optimised(1, place)) for name, one in seldom.items() if one}
         self.lowered["piece"] = piece_of, optimised(work.level, place)
 
@@ -309,24 +309,20 @@ class _Program:
         afford(used_by(self.calls["piece"]), self.work.block, self.at_once, self.place)
         self.lowered = {}
 
-    def put(self, tree: Any) -> Any:
-        """Shapes on this program's device."""
-        where = jax.sharding.SingleDeviceSharding(self.place)
-        return jax.tree.map(
-            lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=where), tree
-        )
+    def shapes(self, tree: Any) -> Any:
+        """Of leaves ``[runs, ...]`` those of a block, on this program's device."""
+        where, block = jax.sharding.SingleDeviceSharding(self.place), self.work.block
+
+        def of(leaf: Any) -> jax.ShapeDtypeStruct:
+            return jax.ShapeDtypeStruct((block, *leaf.shape[1:]), leaf.dtype, sharding=where)
+
+        return jax.tree.map(of, tree)
 
 
 def _of_one(judge: Callable, key: Key, lane: jax.Array, held: tuple[Any, Any, Any]) -> Any:
     """What is judged of one run of a block, of which no more is copied than is looked at."""
     state, data, hparams = jax.tree.map(itemgetter(lane), held)
     return judge(state, data, key, hparams)
-
-
-def _shaped(block: int, tree: Any) -> Any:
-    return jax.tree.map(
-        lambda leaf: jax.ShapeDtypeStruct((block, *leaf.shape[1:]), leaf.dtype), tree
-    )
 
 
 def _loop(work: Work, state: Any, data: Any, first: Any, count: Any, hparams: Any) -> Any:
@@ -370,7 +366,8 @@ class _Pool:
         self.lock, self.telling, self.failed = threading.Lock(), threading.Lock(), threading.Event()
         self.keys, self.judging = self.runs.keys, self.runs.judging
         self.size, units = self.programs[0].work.block, self.runs.units
-        kept = {row: (store and store.load(row)) or Kept() for row in range(len(units))}
+        kept = {row: (store and store.load(number)) or Kept()
+                for row, number in enumerate(self.runs.row.tolist())}  # fmt: skip
         self.curves = {row: run.metrics for row, run in kept.items() if run.over}
         differ = units.min() < units.max() or len({run.done for run in kept.values()}) > 1
         self.may_shrink = self.size > 1 and (self.over is not None or differ)
@@ -384,6 +381,11 @@ class _Pool:
         with self.telling:
             self.done += units
             self.say("running", self.done // len(self.runs.seed), len(self.curves))
+
+    def save(self, row: int, run: Kept) -> None:
+        """Writes a run's checkpoint, where any are."""
+        if self.store:
+            self.store.save(int(self.runs.row[row]), run, self.seconds())
 
     def seconds(self) -> float:
         """Since the work began, with those before a resume."""
@@ -487,7 +489,7 @@ class _Block:
         """Writes a checkpoint of each of its runs."""
         if self.pool.store and self.done:
             for row, run in self.kept().items():
-                self.pool.store.save(row, run, self.pool.seconds())
+                self.pool.save(row, run)
         self.saved_s = time.perf_counter()
 
     def _begin(self) -> None:
@@ -525,9 +527,7 @@ class _Block:
         played, ended = len(self.live), self._ended()
         for row in ended:
             curves = self._judged(row, self.live.pop(row))
-            if self.pool.store:
-                over = Kept(self.done, metrics=curves, over=True)
-                self.pool.store.save(row, over, self.pool.seconds())
+            self.pool.save(row, Kept(self.done, metrics=curves, over=True))
             self.pool.curves[row] = curves
         self.pool.tell(count * played)
         if self.live and self.pool.store and self.pool.store.due(self.saved_s):
