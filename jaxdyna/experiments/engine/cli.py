@@ -96,23 +96,21 @@ def parse(default: O, argv: Sequence[str], prog: str) -> O:
     `ValueError` on bad input.
     """
     kind: Any = type(default)
-    known = {leaf.path for leaf in _shown(default)}
-    for word in argv:
-        flag, path = word.partition("=")[0], _path(word)
-        if word.startswith("--") and path in kind.decided:
+    known = {leaf.path: leaf for leaf in _shown(default)}
+    rest, chosen, words = [], {}, iter(argv)
+    for word in words:
+        flag, _, value = word.partition("=")
+        typed, path = word.startswith("--"), _path(word)
+        if typed and path in kind.decided:
             raise ValueError(f"{flag} is decided by {kind.decided[path]}: leave it out")
-        if word.startswith("--") and not {path, re.sub(r"(^|\.)no_", r"\1", path)} & known:
+        if typed and not {path, re.sub(r"(^|\.)no_", r"\1", path)} & known.keys():
             try:
                 fields.value_at(default, path)
             except SettingError as error:  # names the closest
                 raise ValueError(f"{flag} {error.said.replace('_', '-')}") from None
             raise ValueError(f"{flag} is several settings: name one of them")
-    named = {leaf.path for leaf in _shown(default) if callable(leaf.value)}  # tyro has no flag
-    rest, chosen, words = [], {}, iter(argv)
-    for word in words:
-        flag, _, value = word.partition("=")
-        if word.startswith("--") and _path(word) in named:
-            chosen[_path(word)] = value or next(words, "")
+        if typed and path in known and callable(known[path].value):  # tyro has no flag for it
+            chosen[path] = value or next(words, "")
         else:
             rest.append(word)
     default = fields.restored(default, chosen)
