@@ -159,9 +159,7 @@ def screen(shots: Mapping[str, Shot], actions: Mapping[str, Any], console: Conso
 
 
 def picture(frame: np.ndarray, width: int, height: int) -> Text:
-    """Bytes ``[H, W, 3]`` as half blocks, two pixels each, as large as so many columns and lines
-    allow.
-    """
+    """Bytes ``[H, W, 3]`` as half blocks, two pixels each, as large as columns and lines allow."""
     scale = min(width / frame.shape[1], 2 * height / frame.shape[0])
     scale = int(scale) or scale  # or cells would be of several sizes
     columns, rows = int(frame.shape[1] * scale), int(frame.shape[0] * scale / 2) * 2

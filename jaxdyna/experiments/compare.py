@@ -76,9 +76,7 @@ class Side(NamedTuple):
 
 @cli.command(Call, PROG, "DIR DIR... [--arms ARM...] [--measure FIGURE] [--out DIR]")
 def main(call: Call, argv: Sequence[str]) -> int:
-    """Writes the report and prints its tables; `ValueError` where a folder has no result, or not
-    all can be compared.
-    """
+    """Writes the report and prints its tables; `ValueError` where not all can be compared."""
     sides = chosen(call)
     first = next(iter(sides.values()))
     listed = [side.whose[-1] for side in sides.values()]
@@ -107,9 +105,7 @@ def main(call: Call, argv: Sequence[str]) -> int:
 
 
 def chosen(call: Call) -> dict[str, Side]:
-    """What is compared, by its name, and its folder's where several have that name; `ValueError`
-    where it cannot be.
-    """
+    """What is compared, by name, or name and folder; `ValueError` where it cannot be."""
     if len({folder.resolve() for folder in call.folders}) < max(len(call.folders), 2):
         raise ValueError("give two folders or more, each of them once")
     ends = [folder.resolve().name for folder in call.folders]

@@ -157,9 +157,7 @@ FLAGS = [f"\n  --{leaf.path}: {leaf.help}" for leaf in fields.leaves(Call())][1:
 
 @cli.command(Call, PROG, "[NAME...]", "\n" + "".join(FLAGS), bare=True)
 def main(call: Call, argv: Sequence[str]) -> int:
-    """Lists, records, redraws or compares, and returns the exit code. `ValueError` where what is
-    asked for cannot be.
-    """
+    """Lists, records, redraws or compares, and returns the exit code; `ValueError` if it cannot."""
     plans, _ = read_plans(call.book), call.part
     if unknown := [name for name in call.names if name not in plans]:
         raise ValueError(f"{unknown[0]}: no such record; there are {', '.join(plans)}")
@@ -179,8 +177,8 @@ def main(call: Call, argv: Sequence[str]) -> int:
 
 
 def read_plans(book: Path) -> dict[str, Plan]:
-    """The records of the lab book, by name; `ValueError` where there is no lab book, or it says of
-    a record what is none.
+    """The records of the lab book, by name; `ValueError` without a lab book, or where what it says
+    of a record is none.
     """
     try:
         plans = {name: Plan(name, **said) for name, said in _table(book, "records").items()}
@@ -309,9 +307,7 @@ def _run(module: str, *flags: str) -> int:
 
 
 def redraw(plans: Mapping[str, Plan], folder: Path) -> None:
-    """Writes results, reports and figures anew from the curves of records whose settings are
-    today's.
-    """
+    """Writes results, reports, figures anew from curves of records whose settings are today's."""
     for name, plan in plans.items():
         state, out = State(folder / name, plan.session), folder / name
         if state.results is None or state.stale:

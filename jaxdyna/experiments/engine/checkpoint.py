@@ -47,8 +47,7 @@ def stacked(states: Sequence[Curves], like: Any, place: Any) -> Any:
 
 
 class Store:
-    """The two newest checkpoints of each run of an arm: where the newest is damaged, the other
-    serves.
+    """The two newest checkpoints of each run of an arm: if the newest is damaged, the other serves.
 
     Args:
         folder: of their own, made if need be, but not the one above it: a run's folder that is gone
@@ -62,9 +61,7 @@ class Store:
         self.newest: dict[int, tuple[int, bool]] = {}
 
     def due(self, saved: float) -> bool:
-        """Whether what was saved then should be saved again: writing takes a small share of the
-        time.
-        """
+        """Whether to save again what was saved then: writing takes a small share of the time."""
         now = time.perf_counter()
         affords = self.writing <= CHECKPOINT_SHARE * (now - self.began)
         return affords and now - saved > CHECKPOINT_SECONDS

@@ -75,9 +75,7 @@ NOT_SWEPT = {leaf.path.rstrip("_") for kind in (Call, Options) for leaf in field
 
 
 def read(kind: type[O], argv: Sequence[str], prog: str, **how: Any) -> Any:
-    """What a command line says of the fields of a dataclass, ``how`` being `tyro.cli`'s;
-    `ValueError` on bad input.
-    """
+    """What words say of a dataclass's fields, ``how`` being `tyro.cli`'s; `ValueError` if bad."""
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
@@ -92,9 +90,7 @@ def read(kind: type[O], argv: Sequence[str], prog: str, **how: Any) -> Any:
 
 
 def parse(default: O, argv: Sequence[str], prog: str) -> O:
-    """An experiment's settings: `read`, flags by dotted path, all others as in ``default``;
-    `ValueError` on bad input.
-    """
+    """An experiment's settings, flags by dotted path, others as in ``default``: see `read`."""
     kind: Any = type(default)
     known = {leaf.path: leaf for leaf in _shown(default)}
     rest, chosen, words = [], {}, iter(argv)
@@ -240,9 +236,7 @@ def command(
 def refused(
     prog: str, argv: Sequence[str], kinds: tuple[type[Exception], ...] = (ValueError, ImportError)
 ) -> Iterator[None]:
-    """Bad input, found meanwhile by an error of these kinds, ends the process with code 2 and one
-    line.
-    """
+    """Bad input, told meanwhile by such an error, ends the process with code 2 and one line."""
     try:
         yield
     except kinds as error:

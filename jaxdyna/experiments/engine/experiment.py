@@ -1,6 +1,4 @@
-"""An experiment is data: what is filled in, and what is made of it. A study is a table of
-overrides.
-"""
+"""An experiment is data: what is filled in, and made of it. A study is a table of overrides."""
 
 from __future__ import annotations
 

@@ -35,8 +35,7 @@ TRACKED = 10  #: runs of each arm, the first ones, of which others are told
 
 
 class Bars(Progress):
-    """A bar for each arm, in units of a run; where there is no terminal, a line at each new stage
-    and each minute.
+    """A bar for each arm, in units of a run; without a terminal a line each new stage and minute.
 
     Args:
         console: where they are drawn.

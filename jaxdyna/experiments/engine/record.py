@@ -71,9 +71,7 @@ def results_of(
 
 
 def home_of(part: Experiment | Study | None) -> Results:
-    """The ``module`` that an experiment is in, by the name by which it can be imported; nothing
-    where it is in none.
-    """
+    """The ``module`` an experiment is in, as it can be imported; nothing where it is in none."""
     main = sys.modules["__main__"]  # which may have several names
     script = Path(getattr(main, "__file__", None) or "").stem
     for name, module in sorted(sys.modules.items(), key=lambda one: one[1] is main):
@@ -121,9 +119,7 @@ def read_back(options: Any, sweep: Mapping[str, Sequence[Any]]) -> dict[str, lis
 
 
 def write_report(experiment: Experiment, record: Record) -> str:
-    """Writes ``report.md``, its figures and ``report.html`` into the record's folder; returns the
-    text.
-    """
+    """Writes ``report.md``, figures, ``report.html`` into the record's folder; returns the text."""
     head = [f"# {experiment.title}", f"`{record.results['command']}`"]
     if missing := record.results.get("unfinished"):
         head.append(f"**Interrupted: {', '.join(missing)} not finished; --resume goes on.**")

@@ -368,9 +368,7 @@ class Session:
             "config": fields.plain(self.options)})  # fmt: skip
 
     def _take_up(self, whose: Mapping[str, str]) -> None:
-        """Reads what an earlier run of these settings finished; `ValueError` where there is
-        none.
-        """
+        """Reads what an earlier run of these settings finished; `ValueError` without one."""
         begun = storage.read_json(self.checkpoints / "settings.json")
         results = storage.read_json(self.out / "results.json")
         if not all(folders.is_of(about, whose) for about in (begun, results) if about is not None):

@@ -109,9 +109,7 @@ def write_arrays(
     path: Path, arrays: Curves, compressed: bool = False, before: Path | None = None,
     whose: str = "",
 ) -> None:  # fmt: skip
-    """Writes arrays by name into one file, of NumPy's format; ``before``: see `written`; ``whose``:
-    what they belong to.
-    """
+    """Writes arrays by name into one NumPy file; ``before``: see `written`; ``whose``: owner."""
     save: Any = np.savez_compressed if compressed else np.savez
     with written(path, before) as part:
         with part.open("wb") as file:

@@ -296,9 +296,7 @@ class _Program:
         self.lowered["piece"] = piece_of, optimised(work.level, place)
 
     def compile(self) -> None:
-        """Compiles it, unless that is done, and looks at the memory it takes: `InputError` where
-        there is too little.
-        """
+        """Compiles it, once, and looks at the memory it takes: `InputError` where it lacks."""
         if not self.lowered:
             return
         with ThreadPoolExecutor(len(self.lowered)) as pool:  # XLA compiles without Python's lock
@@ -440,9 +438,7 @@ class _Pool:
         self.waiting = [block for block in self.waiting if block not in same] + fewer
 
     def _begin(self, program: _Program) -> None:
-        """One, or where they may be packed as many as memory affords; other devices get their
-        share.
-        """
+        """One, or where they can be packed what memory affords; other devices get their share."""
         most = BEGUN * self.programs.count(program) if self.may_shrink else 1
         fit = max(spare(used_by(program.calls["piece"]), most, program.place), 1)
         for _ in range(min(fit, -(-len(self.unbegun) // len({*self.programs})))):

@@ -1,6 +1,4 @@
-"""The report of a study: every row beside the first, or from best to worst, in one of the arms'
-figures of solving.
-"""
+"""A study's report: rows beside the first, or from best to worst, in one figure of solving."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

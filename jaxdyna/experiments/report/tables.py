@@ -37,9 +37,7 @@ def interval(ends: Sequence[float | None] | None, digits: int = 0) -> str:
 
 
 def with_interval(summary: Summary, digits: int = 0, sign: str = "") -> str:
-    """``mean (low to high)``, where it is known the restricted one; the mean alone where there is
-    no interval.
-    """
+    """``mean (low to high)``, if known the restricted one; the mean alone without an interval."""
     known = summary.get("restricted_mean") is not None
     mean, ends = (summary[f"restricted_{name}" if known else name] for name in ("mean", "ci95"))
     said, beside = number(mean, digits, sign), interval(ends, digits)
