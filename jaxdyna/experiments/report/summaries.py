@@ -95,7 +95,7 @@ def baseline_of(arm: Results, baseline: str) -> str:
 
 
 def restricted(figure: Results) -> np.ndarray:
-    """A figure of each run ``[seeds]``, unsolved what they played, or in old records its mean."""
+    """Each run's figure ``[seeds]``, of unsolved ones what they played; in old records its mean."""
     if figure.get("restricted_per_seed"):
         return np.array(figure["restricted_per_seed"], float)
     values = per_seed(figure)
