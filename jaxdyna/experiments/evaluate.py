@@ -39,6 +39,7 @@ def main(call: Call, argv: Sequence[str]) -> int:
     kept in the folder, or Gymnasium has no such world.
     """
     left, rows = load(call.folder), []
+    seeds = left.results["runs"]["seeds"]
     with programs.kept():
         if call.film is not None:
             left.film(call.film, call.arm, call.seed)
@@ -48,10 +49,8 @@ def main(call: Call, argv: Sequence[str]) -> int:
             kept = left.kept.get(arm, [None])
             for seed in kept if call.seed is None else [call.seed]:
                 earned = returns(left, arm, seed, call)
-                said = dict(
-                    zip(left.results["runs"]["seeds"], left.curves[arm][RETURN], strict=True)
-                )
-                numbers = said[seed], earned.mean(), earned.min(), earned.max()
+                said = left.curves[arm][RETURN][seeds.index(seed)]
+                numbers = said, earned.mean(), earned.min(), earned.max()
                 rows.append([arm, str(seed), *(f"{one:.10g}" for one in numbers)])
     if not rows:
         raise ValueError(f"{call.folder} keeps no policy: play with --keep-runs above 0")

@@ -28,7 +28,7 @@ from jaxdyna.experiments.engine.loaded import load
 from jaxdyna.experiments.engine.record import command_of, recorded, results_of, write_report
 from jaxdyna.experiments.engine.session import Session, flags_between, identity_of, prepared
 from jaxdyna.experiments.report.summaries import compare
-from jaxdyna.experiments.report.tables import interval, markdown_table, number
+from jaxdyna.experiments.report.tables import interval, markdown_table, number, spoken
 from jaxdyna.fields import setting
 from jaxdyna.statistics import holm
 
@@ -334,9 +334,7 @@ def primary(book: Path, folder: Path) -> str:
     adjusted = holm([1.0 if ratio is None or ratio["p"] is None else ratio["p"] for ratio in found])
     rows = []
     for one, ratio, p in zip(said["comparisons"], found, adjusted, strict=True):
-        what = (
-            f"{one['measure'].replace('_', ' ').replace('.', ': ')}, B = {one['budget']:,} episodes"
-        )
+        what = f"{spoken(one['measure'])}, B = {one['budget']:,} episodes"
         told = [MISSING, "-", "-"] if ratio is None else [
             f"{number(ratio['ratio'], 2)} ({interval(ratio['ci95'], 2)})", number(ratio["p"], 4),
             number(p, 4)]  # fmt: skip

@@ -200,9 +200,7 @@ def spell_out() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def command(
-    kind: type[O], prog: str, flags: str, more: str = "", bare: bool = False
-) -> Callable[..., Any]:
+def command(kind: type[O], prog: str, flags: str, more: str = "", bare: bool = False) -> Any:
     """Makes the ``main`` of a command that is no experiment, from what it does: a function of what
     the arguments, by default the process's, say of the fields of a dataclass, and of these, to the
     exit code. On bad input it is `SystemExit` with code 2 and one line.

@@ -110,9 +110,8 @@ class Study(NamedTuple):
             base = fields.changed(base, {"arms": tuple(self.rows(base.resolved()))})
 
         def arms(options: Any) -> Mapping[str, Callable[[], Arm]]:
-            return {
-                name: partial(self.made, options, row) for name, row in self.rows(options).items()
-            }
+            rows = self.rows(options)
+            return {name: partial(self.made, options, row) for name, row in rows.items()}
 
         return replace(
             self.of, name=self.name, title=self.title, presets={self.preset: base}, arms=arms,

@@ -142,9 +142,7 @@ def _diverged(record: Record) -> str:
     for name, arm in record.results["arms"].items():
         runs = arm.get("diverged", {})
         unit = "episode" if "real_return" in record.curves[name] else "update"
-        each = [
-            f"seed {seed} in {unit} {one['unit']} ({one['part']})" for seed, one in runs.items()
-        ]
+        each = [f"seed {seed} in {unit} {at['unit']} ({at['part']})" for seed, at in runs.items()]
         more = [f"{len(each) - 3} more runs"] if len(each) > 3 else []
         said += [f"{name}: {', '.join(each[:3] + more)}"] if each else []
     if not said:
@@ -160,10 +158,9 @@ def different(before: Results, now: Results, prefix: str = "") -> list[str]:
     """Paths of the settings that differ; ones that did not exist then are as they were."""
     paths = []
     for name, value in now.items():
-        if name not in before or before[name] == value:
-            continue
-        nested = isinstance(value, dict) and isinstance(before[name], dict)
-        paths += (
-            different(before[name], value, f"{prefix}{name}.") if nested else [f"{prefix}{name}"]
-        )
+        path, then = f"{prefix}{name}", before.get(name, value)
+        if isinstance(value, dict) and isinstance(then, dict):
+            paths += different(then, value, f"{path}.")
+        elif then != value:
+            paths.append(path)
     return paths

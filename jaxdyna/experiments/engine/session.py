@@ -287,7 +287,7 @@ class Session:
                 totals[name] = int(works[name][1].units.max()), len(rows)
                 told[name] = self._told(group, rows)
         names = [*works]
-        at_once = min(storage.cores(), COMPILED)
+        at_once, over = min(storage.cores(), COMPILED), self._over()
         console = self.console if self.processes.first else Console(quiet=True)
         with progress.Bars(console, totals) as bars:
             for ahead in (names[at : at + at_once] for at in range(0, len(names), at_once)):
@@ -301,13 +301,9 @@ class Session:
                     with ExitStack() as stack:
                         for run in told[name]:
                             stack.callback(run.close)
-                        done = engine.play(
-                            *works[name], self._over(), stores[name], say, told[name]
-                        )
-                    length = max(
-                        (len(run.get("real_return", ())) for run in done.curves), default=0
-                    )
-                    bars.tell(name, "done", length or totals[name][0], len(done.curves))
+                        done = engine.play(*works[name], over, stores[name], say, told[name])
+                    lengths = [len(run.get("real_return", ())) for run in done.curves]
+                    bars.tell(name, "done", max(lengths) or totals[name][0], len(lengths))
                     self.timing[name] = done.seconds._asdict()
                     self.share()
                     if self.processes.of == 1:
@@ -402,9 +398,7 @@ class Session:
         self.timing = results["timing"]["arms"]
         self.earlier_s += sum(one.get("compile_s", 0.0) for one in self.timing.values())
         self.earlier_s = max(self.earlier_s, results["timing"]["total_s"])
-        self.measured = {
-            name: results[name] for name in self.experiment.measures if name in results
-        }
+        self.measured = {one: results[one] for one in self.experiment.measures if one in results}
         if results["command"] != self.command:
             self.command = f"{results['command']} && {self.command} --resume"
         self.curves = storage.read_curves(self.out / "curves.npz", storage.identity(results))

@@ -154,9 +154,7 @@ def identity(results: Results) -> str:
 
 def write_curves(path: Path, arms: Mapping[str, Curves], whose: str = "") -> None:
     """Writes every array as ``NAME/array``; ``whose``: the `identity` of their results."""
-    flat = {
-        f"{arm}/{name}": values for arm, curves in arms.items() for name, values in curves.items()
-    }
+    flat = {f"{arm}/{name}": one for arm, own in arms.items() for name, one in own.items()}
     write_arrays(path, flat, compressed=True, whose=whose)
 
 

@@ -300,9 +300,7 @@ class _Program:
         if not self.lowered:
             return
         with ThreadPoolExecutor(len(self.lowered)) as pool:  # XLA compiles without Python's lock
-            made = pool.map(
-                lambda one: one[0].compile(compiler_options=one[1]), self.lowered.values()
-            )
+            made = pool.map(lambda one: one[0].compile(one[1]), self.lowered.values())
             self.calls = dict(zip(self.lowered, made, strict=True))
         afford(used_by(self.calls["piece"]), self.work.block, self.at_once, self.place)
         self.lowered = {}

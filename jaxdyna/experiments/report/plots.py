@@ -225,10 +225,9 @@ def error_scatter(
     shade = LOOKS["dyna"].color
     labels: dict[str, tuple[float, float]] = {}
     for number, (name, values) in enumerate(error.items(), start=1):
+        both = values, solved_at[name]
         means = values.mean(), solved_at[name].mean()
-        across, up = (
-            abs(np.array(around(one[:, None])) - one.mean()) for one in (values, solved_at[name])
-        )
+        across, up = (abs(np.array(around(one[:, None])) - one.mean()) for one in both)
         panel.errorbar(*means, up, across, color=shade, linestyle="", elinewidth=0.8, alpha=0.35)
         said = textwrap.fill(f"{number}  {name}", 46, subsequent_indent="      ")
         panel.plot(*means, "o", color=shade, markersize=6, label=said,

@@ -46,10 +46,9 @@ def ranking(record: Any, grid: Callable[[Any], Mapping[str, Any]]) -> str:
     results, options, column = record.results, record.options, "episodes_to_solve"
     if not results["arms"]:
         return ""
-    order = sorted(
-        results["arms"], key=lambda name: results["arms"][name][column]["restricted_mean"]
-    )
-    arms = {name: results["arms"][name] for name in order}
+    every = results["arms"].items()
+    arms = dict(sorted(every, key=lambda one: one[1][column]["restricted_mean"]))
+    (best, first), *_ = arms.items()
     solved = {name: per_seed(arm[column]) for name, arm in arms.items()}
     there = plots.solve_bars(record.out / "variants.png", solved, limit(arms, column),
                              "episodes to solve")  # fmt: skip
@@ -57,11 +56,11 @@ def ranking(record: Any, grid: Callable[[Any], Mapping[str, Any]]) -> str:
     seconds = sum(one.get("run_s", 0.0) for one in results["timing"]["arms"].values())
     return paragraphs(
         f"{tables.runs(len(results['runs']['seeds']))} of each of {len(arms)} rows, of a grid of "
-        f"{len(names)}, on base seed {options.seed}. {arms[order[0]]['solve_rule'].capitalize()}. "
+        f"{len(names)}, on base seed {options.seed}. {first['solve_rule'].capitalize()}. "
         f"At most {options.episodes} episodes; an unsolved run counts as so many. The rows are in "
         "the order of their restricted means. The best of many looks better than it is: these "
         "seeds choose a setting, others say what it is worth.",
-        _winner(arms[order[0]][column], order[0], names),
+        _winner(first[column], best, names),
         tables.side_by_side(tables.solving(results | {"arms": arms}, of="row")),
         "![every run of every row](variants.png)" if there else "",
         f"All rows together took {seconds / 3600:.2f} hours of {results['device']['cpu_cores']} "
