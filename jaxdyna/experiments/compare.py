@@ -135,7 +135,7 @@ def chosen(call: Call) -> dict[str, Side]:
 def _sides(folder: Path, name: str) -> list[Side]:
     """All that a folder has to compare; `ValueError` where it has nothing."""
     left = load(folder)
-    results, rule = left.results, left.experiment.rule
+    results = left.results
     if results["runs"]["shard"] != [1, 1]:
         raise ValueError(f"{folder} is a shard: merge it with the others first")
     if not left.curves or left.curves.keys() - left.entries.keys():
@@ -146,7 +146,7 @@ def _sides(folder: Path, name: str) -> list[Side]:
     sides = []
     for arm, curves in left.curves.items():
         entry, own = left.entries[arm], fields.leaves(left.entries[arm].options)
-        if rule is None or (solves := rule(entry.options)) is None:
+        if (solves := left.experiment.rule(entry.options)) is None:
             raise ValueError(f"{folder} has no rule by which a run has solved: nothing to compare")
         told = {leaf.path: fields.plain(leaf.value) for leaf in own if leaf.path != "arms"} | about
         whose = [entry.arm, results["preset"], left.options.seed, results["runs"]["seeds"]]

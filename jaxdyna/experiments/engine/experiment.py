@@ -74,8 +74,8 @@ class Experiment:
     arms: Callable[[Any], Mapping[str, Callable[[], Arm]]]
     #: by preset, what ``--quick`` changes
     quick: Mapping[str, Overrides] = field(default_factory=dict)
-    #: when a run counts as solved; None where nothing is solved, or it gives None
-    rule: Callable[[Any], SolveRule | None] | None = None
+    #: when a run counts as solved; None where nothing is
+    rule: Callable[[Any], SolveRule | None] = lambda options: None
     #: ``(options, curves) -> entries`` of an arm in ``results.json``
     describe: Sequence[Callable[[Any, Curves], Results]] = ()
     #: by name ``(options, say) -> JSON``: host work without runs
@@ -152,8 +152,7 @@ def entries(
     for point, setup in zip(grid, setups, strict=True):
         if other := [path for path in point if fields.value_at(setup, path) != point[path]]:
             raise ValueError(f"--sweep {other[0]}: other settings do not allow {point[other[0]]}")
-    rules = {experiment.rule(setup): None for setup in setups} if experiment.rule else {}
-    if len(rules) > 1:
+    if len({experiment.rule(setup) for setup in setups}) > 1:
         raise ValueError(
             f"--sweep {', '.join(sweep)}: runs would count as solved by several rules, and could "
             "not be compared: play each value by a command of its own, or give the experiment one "

@@ -45,7 +45,7 @@ def results_of(
     """What is in ``results.json``, from the experiment's settings, every entry that there can be,
     curves ``[runs, ...]``, and what says ``about`` these how they came about, ``timing`` with it.
     """
-    rule = experiment.rule(options) if experiment.rule else None
+    rule = experiment.rule(options)
     setups = {entry.name: entry.options for entry in every}
     arms: Results = {}
     for name, values in curves.items():

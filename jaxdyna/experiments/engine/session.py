@@ -333,11 +333,8 @@ class Session:
 
     def _over(self) -> work.Over | None:
         """When a run is over: so many episodes after it has solved."""
-        rule, stop = self.experiment.rule, self.options.stop_after_solved
-        if rule is None or stop is None:
-            return None
-        solves = rule(self.options)
-        if solves is None:
+        solves, stop = self.experiment.rule(self.options), self.options.stop_after_solved
+        if solves is None or stop is None:
             return None
 
         def over(curves: work.Curves) -> np.ndarray:
