@@ -9,7 +9,7 @@ import shutil
 import signal
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar, get_args
@@ -17,7 +17,7 @@ from typing import Annotated, Any, NoReturn, TypeVar, get_args
 import tyro
 
 from jaxdyna import fields
-from jaxdyna.experiments.engine.experiment import Options
+from jaxdyna.experiments.engine.experiment import Experiment, Options
 from jaxdyna.experiments.engine.progress import TRACKERS
 from jaxdyna.fields import Leaf, SettingError, setting
 
@@ -151,14 +151,15 @@ def _value(options: Any, leaf: Leaf, text: str) -> Any:
 
 
 def help_text(
-    prog: str, parts: Sequence[str], presets: Sequence[str], arms: Sequence[str], default: Any,
-    everything: bool, hidden: Sequence[str],
-) -> str:  # fmt: skip
+    prog: str, parts: Iterable[str], experiment: Experiment, default: Any, everything: bool
+) -> str:
     """What ``--help`` shows: the everyday settings; ``--help-all``: every one."""
     width = min(shutil.get_terminal_size((100, 24)).columns, 100)
+    arms = [*dict.fromkeys(name.partition("@")[0] for name in experiment.arms(default.resolved()))]
+    hidden = () if experiment.quick.get(default.preset) else ("quick",)
     lines = [
-        f"usage: {prog} [--part {{{','.join(parts)}}}] [--preset {{{','.join(presets)}}}] "
-        "[--FLAG VALUE ...]", ""]  # fmt: skip
+        f"usage: {prog} [--part {{{','.join(parts)}}}] "
+        f"[--preset {{{','.join(experiment.presets)}}}] [--FLAG VALUE ...]", ""]  # fmt: skip
     lines += textwrap.wrap(" ".join((type(default).__doc__ or "").split("\n\n")[0].split()), width)
     for title, leaves in (("call", list(fields.leaves(Call()))), ("settings", _shown(default))):
         lines += ["", f"{title}:"]

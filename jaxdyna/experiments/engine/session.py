@@ -88,7 +88,8 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     call, rest = cli.read(cli.Call, asked, prog, return_unknown_args=True)
     earlier = _earlier(call, parts[0].name)
     call = replace(call, **{name: earlier[name] for name in FROM if name in earlier})
-    part = cli.by_name({part.name: part for part in parts}, "part", call.part)
+    known = {part.name: part for part in parts}
+    part = cli.by_name(known, "part", call.part)
     experiment = part.experiment() if isinstance(part, Study) else part
     default = cli.by_name(experiment.presets, "preset", call.preset)
     default = fields.restored(default, earlier.get("config", {}))
@@ -98,10 +99,7 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     preset = call.preset or next(iter(experiment.presets))
     quick = experiment.quick.get(preset)
     if len(asked) < len(argv):
-        arms = dict.fromkeys(name.partition("@")[0] for name in experiment.arms(default.resolved()))
-        print(cli.help_text(
-            prog, [part.name for part in parts], [*experiment.presets], [*arms], default,
-            "--help-all" in argv, hidden=() if quick else ("quick",)))  # fmt: skip
+        print(cli.help_text(prog, known, experiment, default, "--help-all" in argv))
         raise SystemExit(0)
     if call.quick:
         if not quick:
