@@ -106,9 +106,7 @@ class Loaded:
     def scenes(
         self, arms: Sequence[str] = (), seed: int | None = None
     ) -> dict[str, tuple[Trained, Scene]]:
-        """By arm what a run has learned, and its worlds to be watched, as `film` does; those that
-        have a dream come first.
-        """
+        """What runs learned, by arm, and their worlds to watch, see `film`; dreams come first."""
         runs = {arm: self.trained(arm, seed) for arm in arms or self.kept}
         if not runs:
             raise ValueError(f"{self.folder} keeps no policy: play with --keep-runs above 0")

@@ -77,9 +77,7 @@ def main(
 
 
 def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str) -> Session:
-    """The session that a command line asks for; nothing is played yet. `ValueError` on bad input,
-    `SystemExit` after ``--help``.
-    """
+    """The session that is asked for, not begun; `ValueError` if bad, `SystemExit` after help."""
     asked = [word for word in argv if word not in ("--help", "-h", "--help-all")]
     if {"--resume", "--fresh"} <= set(asked):
         raise ValueError("--resume goes on with unfinished work, --fresh drops it: leave one out")
@@ -214,9 +212,7 @@ class Session:
                 folders.share(lock)
 
     def run(self) -> int:
-        """Plays and reports; returns the exit code, as `main`. `InputError` where something in
-        mid-run is the user's to mend.
-        """
+        """Plays, reports, returns `main`'s exit code; `InputError` where a user can mend it."""
         code, first = 0, self.processes.first
         engine = work.Engine(keep=self.call.keep_runs, interrupted=self.processes.interrupted)
         self.processes.tell = self._stopped

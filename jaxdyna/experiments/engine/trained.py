@@ -157,9 +157,7 @@ def file_of(folder: Path, arm: str, seed: int) -> Path:
 
 
 def _whose(arm: str, seed: int, run: Arrays) -> str:
-    """A hash of which run it is and what it earned: the same in a shard and in the whole, and where
-    settings were added since.
-    """
+    """A hash of which run it is and what it earned: the same in shards, and by later settings."""
     earned = np.asarray(run[REAL], np.float32)
     said = json.dumps([arm, seed, float(run[RETURN])]).encode()
     return sha256(said + earned[np.isfinite(earned)].tobytes()).hexdigest()[:16]

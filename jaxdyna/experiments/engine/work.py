@@ -236,9 +236,7 @@ class Engine:
         return work if self.keep else work._replace(trained=None)
 
     def _programs(self, work: Work, runs: Runs, collected: Any = None) -> list[_Program]:
-        """Of each worker; new ones are not compiled yet. Traced here, since a thread has not the
-        caller's `jax.config` contexts.
-        """
+        """Each worker's; traced here, in the caller's `jax.config` contexts, compiled later."""
         where = places(self.workers)[: -(-len(runs.seed) // work.block)]
         shapes = jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams)
         known = [(work, str(shapes), place) for place in where]

@@ -44,9 +44,7 @@ RETURN = "real_return"
 
 
 def page(record: Any, text: str) -> str:
-    """The report ``text``, in Markdown, of a record in whose folder its figures lie. The curves
-    stand before the first figure.
-    """
+    """A record's report, of ``text`` in Markdown and its folder's figures, curves before these."""
     markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
     markdown.add_render_rule("image", _captioned)
     markdown.add_render_rule("table_open", lambda *_: '<div class="wide" tabindex="0"><table>\n')
@@ -83,9 +81,7 @@ def _embed(tokens: Sequence[Token], folder: Path) -> None:
 
 
 def _data(path: Path, width: int) -> str:
-    """An address that is the picture: of a film as it is, of a figure no wider than so many pixels;
-    empty where there is none.
-    """
+    """An address that is the picture: a film as it is, a figure at most so wide; empty if none."""
     if path.suffix not in (".gif", ".png") or not path.is_file():
         return ""
     kind, data = "gif", path.read_bytes()
