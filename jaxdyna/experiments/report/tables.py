@@ -51,9 +51,9 @@ def median(summary: Summary) -> str:
     return said if ends is None else f"{said} ({interval(ends)})"
 
 
-def per_seed(summary: Summary) -> np.ndarray:
-    """A figure of each run ``[seeds]``, infinity where it is unsolved."""
-    return np.array([np.inf if one is None else one for one in summary["per_seed"]], float)
+def per_seed(summary: Summary, unsolved: float = np.inf) -> np.ndarray:
+    """A figure of each run ``[seeds]``."""
+    return np.array([unsolved if one is None else one for one in summary["per_seed"]], float)
 
 
 def figure_at(arm: Results, path: str) -> Results:
