@@ -51,14 +51,8 @@ class Call:
     seed: int | None = setting(None, "of the run; the first that is kept")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Plays, by the arguments or the process's, and returns the exit code: see `cli.command`."""
-    words = sys.argv[1:] if argv is None else argv
-    usage = f"WORLD | --run DIR [--arm ARM] [--seed N]\n\n{Call.__doc__}\nWorlds: {WORLDS}"
-    return cli.command(Call, usage, PROG, words or ["--help"], play)
-
-
-def play(call: Call, argv: Sequence[str]) -> int:
+@cli.command(Call, PROG, "WORLD | --run DIR [--arm ARM] [--seed N]", f"\nWorlds: {WORLDS}")
+def main(call: Call, argv: Sequence[str]) -> int:
     """Steers until a key ends it; `ValueError` where there is no terminal, or nothing to watch."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise ValueError("this is no terminal: play where keys are typed and colours are shown")
@@ -114,15 +108,12 @@ def keyboard() -> Iterator[None]:
         sys.exit(128 + number)
 
     modes = termios.tcgetattr(sys.stdin)
-    ends = {signal.SIGTERM: end, signal.SIGINT: signal.default_int_handler}
-    before = {number: signal.signal(number, handler) for number, handler in ends.items()}
-    try:
-        tty.setcbreak(sys.stdin)
-        yield
-    finally:
-        termios.tcsetattr(sys.stdin, termios.TCSAFLUSH, modes)
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with cli.receiving({signal.SIGTERM: end, signal.SIGINT: signal.default_int_handler}):
+        try:
+            tty.setcbreak(sys.stdin)
+            yield
+        finally:
+            termios.tcsetattr(sys.stdin, termios.TCSAFLUSH, modes)
 
 
 def steer(scene: Scene, actions: Mapping[str, Any], live: Live) -> None:
@@ -168,9 +159,7 @@ def screen(shots: Mapping[str, Shot], actions: Mapping[str, Any], console: Conso
 
 
 def picture(frame: np.ndarray, width: int, height: int) -> Text:
-    """Bytes ``[H, W, 3]`` as half blocks, two pixels each, as large as so many columns and lines
-    allow.
-    """
+    """Bytes ``[H, W, 3]`` as half blocks, two pixels each, as large as columns and lines allow."""
     scale = min(width / frame.shape[1], 2 * height / frame.shape[0])
     scale = int(scale) or scale  # or cells would be of several sizes
     columns, rows = int(frame.shape[1] * scale), int(frame.shape[0] * scale / 2) * 2

@@ -212,16 +212,16 @@ def test_a_file_of_a_record_that_is_gone(name, finished, tmp_path, capsys):
 
 def interrupted(out, monkeypatch, pieces=5):
     """A run that Ctrl-C stops."""
-    told, advance = [], work._Tally.add
+    told, advance = [], work._Pool.tell
 
-    def add(tally, units, over):
-        advance(tally, units, over)
+    def tell(pool, units):
+        advance(pool, units)
         told.append(units)
         if len(told) == pieces:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(work._Tally, "add", add)
+        patch.setattr(work._Pool, "tell", tell)
         patch.setattr(checkpoint, "CHECKPOINT_SECONDS", 0.0)
         patch.setattr(checkpoint, "CHECKPOINT_SHARE", 1e9)
         assert command(out) == 130
@@ -377,13 +377,13 @@ def ends_with(out, capsys, *more):
 
 
 def test_a_folder_that_goes_in_mid_run_is_not_made_again(tmp_path, monkeypatch, capsys):
-    out, add = tmp_path / "out", work._Tally.add
+    out, tell = tmp_path / "out", work._Pool.tell
 
-    def vanish(tally, units, over):
+    def vanish(pool, units):
         shutil.rmtree(out, ignore_errors=True)
-        add(tally, units, over)
+        tell(pool, units)
 
-    monkeypatch.setattr(work._Tally, "add", vanish)
+    monkeypatch.setattr(work._Pool, "tell", vanish)
     code, said = ends_with(out, capsys)
     assert code == 2 and str(out) in said and "No such file" in said
     assert not out.exists()

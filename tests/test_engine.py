@@ -160,7 +160,7 @@ def test_seeds_and_base_seeds_are_different_runs():
 
 
 def test_runs_are_judged_with_other_keys():
-    runs = work.Runs(np.arange(3), 7, None, None)
+    runs = work.Runs(np.arange(3), 7, None, None, None)
     keys = [tuple(row) for keys in (runs.keys, runs.judging) for row in jax.random.key_data(keys)]
     assert len(set(map(str, keys))) == 6
 

@@ -105,8 +105,7 @@ def test_it_leaves_tables_figures_and_an_answer_and_measures_decisions_once(tmp_
     assert set(results["arms"]) == {"model_free"}
     text = (tmp_path / "report.md").read_text()
     assert "times the policy's" in text and "in the same episodes" in text
-    for figure in ("decisions", "solved", "variants"):
-        assert (tmp_path / f"{figure}.png").exists()
+    assert (tmp_path / "decisions.png").exists()  # the others need arms that differ
     assert play(*arguments, "--resume") == 0  # with everything finished
     again = json.loads((tmp_path / "results.json").read_text())
     assert again["budgets"] == results["budgets"]

@@ -183,7 +183,8 @@ def test_what_a_real_step_has_to_cost_by_hand(tmp_path):
     assert break_even(results) == pytest.approx((8, 1, 8000))
     on_one = results | {"device": results["device"] | {"platform": "gpu"}}
     assert break_even(on_one) == pytest.approx((4, 1, 4000))
-    assert break_even(results, "model_free", "dyna") is None  # it saves nothing
+    swapped = dict(zip(arms, reversed(arms.values()), strict=True))
+    assert break_even(results | {"arms": swapped}) is None  # they save nothing
     assert break_even(results | {"timing": {"arms": {"dyna": {"run_s": 1.0}}}}) is None
     unsolved = results["arms"]["dyna"]["real_steps_to_solve"] | {"solved": 0}
     dyna = results["arms"]["dyna"] | {"real_steps_to_solve": unsolved}

@@ -17,7 +17,7 @@ from jaxdyna import fields
 from jaxdyna.experiments.engine import Curves, Experiment, Record, Results, cli, folders, storage
 from jaxdyna.experiments.engine.experiment import Entry
 from jaxdyna.experiments.engine.loaded import load
-from jaxdyna.experiments.engine.record import recorded, write_report
+from jaxdyna.experiments.engine.record import write_report
 from jaxdyna.experiments.report import sections, tables
 from jaxdyna.experiments.report.rows import counted
 from jaxdyna.experiments.report.summaries import restricted, verdict
@@ -74,19 +74,9 @@ class Side(NamedTuple):
         )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Compares, by the arguments or the process's, and returns the exit code: see `cli.command`."""
-    words = sys.argv[1:] if argv is None else argv
-    usage = f"DIR DIR... [--arms ARM...] [--measure FIGURE] [--out DIR]\n\n{Call.__doc__}"
-    return cli.command(Call, usage, PROG, words or ["--help"], compare)
-
-
-def compare(call: Call, argv: Sequence[str]) -> int:
-    """Writes the report and prints its tables.
-
-    Raises:
-        ValueError: where a folder has no result, or not all can be compared.
-    """
+@cli.command(Call, PROG, "DIR DIR... [--arms ARM...] [--measure FIGURE] [--out DIR]")
+def main(call: Call, argv: Sequence[str]) -> int:
+    """Writes the report and prints its tables; `ValueError` where not all can be compared."""
     sides = chosen(call)
     first = next(iter(sides.values()))
     listed = [side.whose[-1] for side in sides.values()]
@@ -115,11 +105,7 @@ def compare(call: Call, argv: Sequence[str]) -> int:
 
 
 def chosen(call: Call) -> dict[str, Side]:
-    """What is compared, by its name, and its folder's where several have that name.
-
-    Raises:
-        ValueError: where it cannot be.
-    """
+    """What is compared, by name, or name and folder; `ValueError` where it cannot be."""
     if len({folder.resolve() for folder in call.folders}) < max(len(call.folders), 2):
         raise ValueError("give two folders or more, each of them once")
     ends = [folder.resolve().name for folder in call.folders]
@@ -147,13 +133,9 @@ def chosen(call: Call) -> dict[str, Side]:
 
 
 def _sides(folder: Path, name: str) -> list[Side]:
-    """All that a folder has to compare.
-
-    Raises:
-        ValueError: where it has nothing.
-    """
+    """All that a folder has to compare; `ValueError` where it has nothing."""
     left = load(folder)
-    results, rule = left.results, recorded(left.results)[0].rule
+    results = left.results
     if results["runs"]["shard"] != [1, 1]:
         raise ValueError(f"{folder} is a shard: merge it with the others first")
     if not left.curves or left.curves.keys() - left.entries.keys():
@@ -164,7 +146,7 @@ def _sides(folder: Path, name: str) -> list[Side]:
     sides = []
     for arm, curves in left.curves.items():
         entry, own = left.entries[arm], fields.leaves(left.entries[arm].options)
-        if rule is None or (solves := rule(entry.options)) is None:
+        if (solves := left.experiment.rule(entry.options)) is None:
             raise ValueError(f"{folder} has no rule by which a run has solved: nothing to compare")
         told = {leaf.path: fields.plain(leaf.value) for leaf in own if leaf.path != "arms"} | about
         whose = [entry.arm, results["preset"], left.options.seed, results["runs"]["seeds"]]
@@ -217,7 +199,7 @@ def table(record: Any) -> str:
     ]  # fmt: skip
     header = ["compared", "ratio (95% interval)", "p", "Holm's p", "sooner (p)", "they are"]
     first, measure = next(iter(results["arms"].values())), results["config"]["measure"]
-    solved = markdown_table(*tables.solve_table(results, measure))
+    solved = tables.side_by_side(tables.solving(results, measure))
     return paragraphs(counted(first, measure), solved, markdown_table(header, rows), SAID)
 
 

@@ -31,19 +31,15 @@ class Call:
     film: Path | None = setting(None, "the GIF or MP4 that is made instead")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Plays, by the arguments or the process's, and returns the exit code: see `cli.command`."""
-    words = sys.argv[1:] if argv is None else argv
-    usage = f"DIR [--arm ARM...] [--seed N] [--episodes {EPISODES}] [--gymnasium] [--film FILE]"
-    usage = f"{usage}\n\n{Call.__doc__}"
-    return cli.command(Call, usage, PROG, words or ["--help"], evaluate)
-
-
-def evaluate(call: Call, argv: Sequence[str]) -> int:
+@cli.command(
+    Call, PROG, f"DIR [--arm ARM...] [--seed N] [--episodes {EPISODES}] [--gymnasium] [--film FILE]"
+)
+def main(call: Call, argv: Sequence[str]) -> int:
     """Prints what each earns, and what the report says, or films it. `ValueError` where nothing is
     kept in the folder, or Gymnasium has no such world.
     """
     left, rows = load(call.folder), []
+    seeds = left.results["runs"]["seeds"]
     with programs.kept():
         if call.film is not None:
             left.film(call.film, call.arm, call.seed)
@@ -53,10 +49,8 @@ def evaluate(call: Call, argv: Sequence[str]) -> int:
             kept = left.kept.get(arm, [None])
             for seed in kept if call.seed is None else [call.seed]:
                 earned = returns(left, arm, seed, call)
-                said = dict(
-                    zip(left.results["runs"]["seeds"], left.curves[arm][RETURN], strict=True)
-                )
-                numbers = said[seed], earned.mean(), earned.min(), earned.max()
+                said = left.curves[arm][RETURN][seeds.index(seed)]
+                numbers = said, earned.mean(), earned.min(), earned.max()
                 rows.append([arm, str(seed), *(f"{one:.10g}" for one in numbers)])
     if not rows:
         raise ValueError(f"{call.folder} keeps no policy: play with --keep-runs above 0")

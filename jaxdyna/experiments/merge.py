@@ -30,15 +30,8 @@ class Call:
     out: Path = setting(help="folder for the record")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Merges, by the arguments or the process's, and returns the exit code: see `cli.command`."""
-    words = sys.argv[1:] if argv is None else argv
-    return cli.command(
-        Call, f"DIR... --out DIR\n\n{Call.__doc__}", PROG, words or ["--help"], merge
-    )
-
-
-def merge(call: Call, argv: Sequence[str]) -> int:
+@cli.command(Call, PROG, "DIR... --out DIR")
+def main(call: Call, argv: Sequence[str]) -> int:
     """Makes the record; `ValueError` where the folders are not those of one run."""
     if not call.folders or len({one.resolve() for one in call.folders}) < len(call.folders):
         raise ValueError("give the folder of each shard, each of them once")
@@ -70,15 +63,12 @@ def _check(shards: Mapping[Path, Results | None], out: Path) -> None:
             raise ValueError(f"{folder} is not finished: play it on with --resume")
         if folder.resolve() == out.resolve():
             raise ValueError(f"--out {out} is one of the shards: choose another folder")
-        for name in ALIKE:
-            if results[name] != one[name]:
-                hint = " (the code of jaxdyna): play it again with the same"
-                raise ValueError(f"{folder} has another {name} than {first}"
-                                 f"{hint if name == 'source' else ''}")  # fmt: skip
         before, now = ({**said["config"], "arms": None} for said in (one, results))
-        if paths := different(before, now):
-            flags = ", ".join(f"--{path.replace('_', '-')}" for path in paths)
-            raise ValueError(f"{folder} has other settings than {first} for {flags}")
+        differ = [name for name in ALIKE if results[name] != one[name]]
+        differ += [f"--{path.replace('_', '-')}" for path in different(before, now)]
+        if differ:
+            raise ValueError(f"{folder} has another {', '.join(differ)} than {first}: play all by "
+                             "the same settings and code")  # fmt: skip
         if lacking := one["arms"].keys() ^ results["arms"].keys():
             raise ValueError(f"{', '.join(sorted(lacking))}: not in both {first} and {folder}")
         for seed in results["runs"]["seeds"]:

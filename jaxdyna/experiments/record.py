@@ -7,7 +7,6 @@ before they were made. A record is the folder of its name.
 """
 
 import shlex
-import signal
 import subprocess
 import sys
 import tomllib
@@ -25,10 +24,11 @@ from rich.table import Table
 from jaxdyna import fields
 from jaxdyna.experiments.engine import Record, Results, cli, folders, storage
 from jaxdyna.experiments.engine.experiment import chosen
+from jaxdyna.experiments.engine.loaded import load
 from jaxdyna.experiments.engine.record import command_of, recorded, results_of, write_report
 from jaxdyna.experiments.engine.session import Session, flags_between, identity_of, prepared
 from jaxdyna.experiments.report.summaries import compare
-from jaxdyna.experiments.report.tables import interval, markdown_table, number
+from jaxdyna.experiments.report.tables import interval, markdown_table, number, spoken
 from jaxdyna.fields import setting
 from jaxdyna.statistics import holm
 
@@ -152,19 +152,12 @@ class State:
         return ", ".join(self.stale + [OTHER_CODE] * self.other_code) or "as today"
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Does what the arguments, or the process's, ask for, and returns the exit code: see
-    `cli.command`.
-    """
-    flags = [f"  --{leaf.path}: {leaf.help}" for leaf in fields.leaves(Call())][1:]
-    usage = "\n".join(["[NAME...]", "", str(Call.__doc__), "", *flags])
-    return cli.command(Call, usage, PROG, argv, run)
+FLAGS = [f"\n  --{leaf.path}: {leaf.help}" for leaf in fields.leaves(Call())][1:]
 
 
-def run(call: Call, argv: Sequence[str]) -> int:
-    """Lists, records, redraws or compares, and returns the exit code. `ValueError` where what is
-    asked for cannot be.
-    """
+@cli.command(Call, PROG, "[NAME...]", "\n" + "".join(FLAGS), bare=True)
+def main(call: Call, argv: Sequence[str]) -> int:
+    """Lists, records, redraws or compares, and returns the exit code; `ValueError` if it cannot."""
     plans, _ = read_plans(call.book), call.part
     if unknown := [name for name in call.names if name not in plans]:
         raise ValueError(f"{unknown[0]}: no such record; there are {', '.join(plans)}")
@@ -184,8 +177,8 @@ def run(call: Call, argv: Sequence[str]) -> int:
 
 
 def read_plans(book: Path) -> dict[str, Plan]:
-    """The records of the lab book, by name; `ValueError` where there is no lab book, or it says of
-    a record what is none.
+    """The records of the lab book, by name; `ValueError` without a lab book, or where what it says
+    of a record is none.
     """
     try:
         plans = {name: Plan(name, **said) for name, said in _table(book, "records").items()}
@@ -305,35 +298,30 @@ def _run(module: str, *flags: str) -> int:
     """
     words = [sys.executable, "-m", f"{PACKAGE}.{module}", *flags]
     print(f"$ python {shlex.join(words[1:])}", flush=True)
-    with subprocess.Popen(words, start_new_session=True) as child:
-        ends = (signal.SIGINT, signal.SIGTERM)
-        before = {one: signal.signal(one, lambda sent, _: child.send_signal(sent)) for one in ends}
-        try:
-            code = child.wait()
-        finally:
-            for one, handler in before.items():
-                signal.signal(one, handler)
+    with (
+        subprocess.Popen(words, start_new_session=True) as child,
+        cli.receiving(dict.fromkeys(cli.ENDS, lambda sent, _: child.send_signal(sent))),
+    ):
+        code = child.wait()
     return code if code >= 0 else 128 - code
 
 
 def redraw(plans: Mapping[str, Plan], folder: Path) -> None:
-    """Writes results, reports and figures anew from the curves of records whose settings are
-    today's.
-    """
+    """Writes results, reports, figures anew from curves of records whose settings are today's."""
     for name, plan in plans.items():
         state, out = State(folder / name, plan.session), folder / name
         if state.results is None or state.stale:
             print(f"{name}: not drawn ({state})")
             continue
-        experiment, options, every = recorded(state.results)
-        before = storage.identity(state.results)
-        curves = storage.read_curves(out / "curves.npz", before)
+        left = load(out)
+        every, about = [*left.entries.values()], left.results
         with folders.held(out):
-            results = results_of(experiment, options, every, curves, state.results)
+            results = results_of(left.experiment, left.options, every, left.curves, about)
             storage.write_json(out / "results.json", results)
-            if (now := storage.identity(results)) != before:  # settings that there were not then
-                storage.write_curves(out / "curves.npz", curves, now)
-            write_report(experiment, Record(options, results, curves, out))
+            now = storage.identity(results)
+            if now != storage.identity(about):  # settings that there were not then
+                storage.write_curves(out / "curves.npz", left.curves, now)
+            write_report(left.experiment, Record(left.options, results, left.curves, out))
         print(f"{name}: drawn")
 
 
@@ -346,9 +334,7 @@ def primary(book: Path, folder: Path) -> str:
     adjusted = holm([1.0 if ratio is None or ratio["p"] is None else ratio["p"] for ratio in found])
     rows = []
     for one, ratio, p in zip(said["comparisons"], found, adjusted, strict=True):
-        what = (
-            f"{one['measure'].replace('_', ' ').replace('.', ': ')}, B = {one['budget']:,} episodes"
-        )
+        what = f"{spoken(one['measure'])}, B = {one['budget']:,} episodes"
         told = [MISSING, "-", "-"] if ratio is None else [
             f"{number(ratio['ratio'], 2)} ({interval(ratio['ci95'], 2)})", number(ratio["p"], 4),
             number(p, 4)]  # fmt: skip

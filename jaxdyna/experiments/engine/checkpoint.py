@@ -47,28 +47,21 @@ def stacked(states: Sequence[Curves], like: Any, place: Any) -> Any:
 
 
 class Store:
-    """The two newest checkpoints of each run of an arm: where the newest is damaged, the other
-    serves.
+    """The two newest checkpoints of each run of an arm: if the newest is damaged, the other serves.
 
     Args:
         folder: of their own, made if need be, but not the one above it: a run's folder that is gone
             stays gone.
         warn: is told of damage.
-        numbers: by which the runs are kept, where these are some of all.
     """
 
-    def __init__(
-        self, folder: Path, warn: Callable[[str], None] = print,
-        numbers: Sequence[int] | None = None,
-    ):  # fmt: skip
-        self.folder, self.warn, self.numbers = folder, warn, numbers
+    def __init__(self, folder: Path, warn: Callable[[str], None] = print):
+        self.folder, self.warn = folder, warn
         self.began, self.writing = time.perf_counter(), 0.0
         self.newest: dict[int, tuple[int, bool]] = {}
 
     def due(self, saved: float) -> bool:
-        """Whether what was saved then should be saved again: writing takes a small share of the
-        time.
-        """
+        """Whether to save again what was saved then: writing takes a small share of the time."""
         now = time.perf_counter()
         affords = self.writing <= CHECKPOINT_SHARE * (now - self.began)
         return affords and now - saved > CHECKPOINT_SECONDS
@@ -103,17 +96,15 @@ class Store:
 
     def seconds(self) -> float:
         """Seconds played up to the last checkpoint of any of them."""
-        found, paths = [0.0], self.folder.glob("run[0-9]*.npz")
-        if self.numbers is not None:
-            paths = (self._paths(number)[0] for number in range(len(self.numbers)))
-        for path in paths:
+        found = [0.0]
+        for path in self.folder.glob("run[0-9]*.npz"):
             with suppress(ValueError):
                 found.append(json.loads(str(read_arrays(path, [ABOUT])[ABOUT]))["seconds"])
         return max(found)
 
     def gathered(self, count: int) -> list[Curves]:
         """What so many runs came to, whoever played them; `InputError` where one's is missing."""
-        kept = map(Store(self.folder, self.warn).load, range(count))
+        kept = map(self.load, range(count))
         curves = [run.metrics for run in kept if run and run.over]
         if len(curves) < count:
             raise InputError(
@@ -123,7 +114,6 @@ class Store:
         return curves
 
     def _paths(self, number: int) -> tuple[Path, Path]:
-        number = number if self.numbers is None else self.numbers[number]
         return self.folder / f"run{number}.npz", self.folder / f"run{number}.before.npz"
 
     def _whose(self, path: Path) -> str:

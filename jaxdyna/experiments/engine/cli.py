@@ -6,24 +6,22 @@ import dataclasses
 import io
 import re
 import shutil
+import signal
 import sys
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial, wraps
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar, get_args
 
 import tyro
 
 from jaxdyna import fields
+from jaxdyna.experiments.engine.experiment import Experiment, Options
 from jaxdyna.experiments.engine.progress import TRACKERS
 from jaxdyna.fields import Leaf, SettingError, setting
 
 O = TypeVar("O")  # noqa: E741
-NOT_SWEPT = (
-    "seeds", "seed", "arms", "out", "episodes", "stop_after_solved", "block", "preset", "quick",
-    "part", "resume", "fresh", "shard", "sweep", "from", "cache", "distributed",
-    "keep_runs", "film", "log")  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,53 +70,46 @@ class Call:
         return int(number), int(of)
 
 
+ENDS = signal.SIGINT, signal.SIGTERM
+NOT_SWEPT = {leaf.path.rstrip("_") for kind in (Call, Options) for leaf in fields.leaves(kind())}
+
+
 def read(kind: type[O], argv: Sequence[str], prog: str, **how: Any) -> Any:
-    """What a command line says of the fields of a dataclass, ``how`` being `tyro.cli`'s; bad input
-    ends the process with code 2 and one line.
-    """
+    """What words say of a dataclass's fields, ``how`` being `tyro.cli`'s; `ValueError` if bad."""
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
             return tyro.cli(kind, args=list(argv), prog=prog, **how)
+    except TypeError as error:
+        raise ValueError(str(error)) from None
     except SystemExit as stop:
         cause: BaseException | None = stop
         while cause is not None and not isinstance(cause, SettingError):
             cause = cause.__context__  # tyro puts it in a panel, by the name of its field alone
-        if cause is not None:
-            fail(f"{flag_of(cause, argv)} {cause.said}", prog)
-        fail(_one_line(complaint.getvalue()), prog)
-    except SettingError as error:
-        fail(f"{flag_of(error, argv)} {error.said}", prog)
-    except (ValueError, TypeError) as error:
-        fail(str(error), prog)
+        raise cause or ValueError(_one_line(complaint.getvalue())) from None
 
 
 def parse(default: O, argv: Sequence[str], prog: str) -> O:
-    """An experiment's settings: `read`, flags by dotted path, all others as in ``default``."""
+    """An experiment's settings, flags by dotted path, others as in ``default``: see `read`."""
     kind: Any = type(default)
-    known = {leaf.path for leaf in _shown(default)}
-    for word in argv:
-        flag, path = word.partition("=")[0], _path(word)
-        if word.startswith("--") and path in kind.decided:
-            fail(f"{flag} is decided by {kind.decided[path]}: leave it out", prog)
-        if word.startswith("--") and not {path, re.sub(r"(^|\.)no_", r"\1", path)} & known:
-            try:
-                fields.value_at(default, path)
-            except SettingError as error:  # names the closest
-                fail(f"{flag} {error.said.replace('_', '-')}", prog)
-            fail(f"{flag} is several settings: name one of them", prog)
-    named = {leaf.path for leaf in _shown(default) if callable(leaf.value)}  # tyro has no flag
+    known = {leaf.path: leaf for leaf in _shown(default)}
     rest, chosen, words = [], {}, iter(argv)
     for word in words:
         flag, _, value = word.partition("=")
-        if word.startswith("--") and _path(word) in named:
-            chosen[_path(word)] = value or next(words, "")
+        typed, path = word.startswith("--"), _path(word)
+        if typed and path in kind.decided:
+            raise ValueError(f"{flag} is decided by {kind.decided[path]}: leave it out")
+        if typed and not {path, re.sub(r"(^|\.)no_", r"\1", path)} & known.keys():
+            try:
+                fields.value_at(default, path)
+            except SettingError as error:  # names the closest
+                raise ValueError(f"{flag} {error.said.replace('_', '-')}") from None
+            raise ValueError(f"{flag} is several settings: name one of them")
+        if typed and path in known and callable(known[path].value):  # tyro has no flag for it
+            chosen[path] = value or next(words, "")
         else:
             rest.append(word)
-    try:
-        default = fields.restored(default, chosen)
-    except SettingError as error:
-        fail(f"{flag_of(error, argv)} {error.said}", prog)
+    default = fields.restored(default, chosen)
     return read(kind, rest, prog, default=default, config=(tyro.conf.SuppressFixed,))
 
 
@@ -160,14 +151,15 @@ def _value(options: Any, leaf: Leaf, text: str) -> Any:
 
 
 def help_text(
-    prog: str, parts: Sequence[str], presets: Sequence[str], arms: Sequence[str], default: Any,
-    everything: bool, hidden: Sequence[str],
-) -> str:  # fmt: skip
+    prog: str, parts: Iterable[str], experiment: Experiment, default: Any, everything: bool
+) -> str:
     """What ``--help`` shows: the everyday settings; ``--help-all``: every one."""
     width = min(shutil.get_terminal_size((100, 24)).columns, 100)
+    arms = [*dict.fromkeys(name.partition("@")[0] for name in experiment.arms(default.resolved()))]
+    hidden = () if experiment.quick.get(default.preset) else ("quick",)
     lines = [
-        f"usage: {prog} [--part {{{','.join(parts)}}}] [--preset {{{','.join(presets)}}}] "
-        "[--FLAG VALUE ...]", ""]  # fmt: skip
+        f"usage: {prog} [--part {{{','.join(parts)}}}] "
+        f"[--preset {{{','.join(experiment.presets)}}}] [--FLAG VALUE ...]", ""]  # fmt: skip
     lines += textwrap.wrap(" ".join((type(default).__doc__ or "").split("\n\n")[0].split()), width)
     for title, leaves in (("call", list(fields.leaves(Call()))), ("settings", _shown(default))):
         lines += ["", f"{title}:"]
@@ -209,24 +201,58 @@ def spell_out() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def command(
-    kind: type[O], usage: str, prog: str, argv: Sequence[str] | None,
-    run: Callable[[O, Sequence[str]], int],
-) -> int:  # fmt: skip
-    """The ``main`` of a command that is no experiment: calls ``run`` with what the arguments, by
-    default the process's, say of the fields of a dataclass, and with these; returns the exit code.
-    `SystemExit` with code 2 and one line on bad input.
+def command(kind: type[O], prog: str, flags: str, more: str = "", bare: bool = False) -> Any:
+    """Makes the ``main`` of a command that is no experiment, from what it does: a function of what
+    the arguments, by default the process's, say of the fields of a dataclass, and of these, to the
+    exit code. On bad input it is `SystemExit` with code 2 and one line.
+
+    Args:
+        kind: the dataclass.
+        prog: the command.
+        flags: what may follow, for the help.
+        more: that is said there.
+        bare: whether there is something to do without arguments.
     """
-    spell_out()
-    argv = sys.argv[1:] if argv is None else argv
-    if {"-h", "--help"} & set(argv):
-        print(f"usage: {prog} {usage}")
-        return 0
-    call = read(kind, argv, prog)
+
+    def made(run: Callable[[O, Sequence[str]], int]) -> Callable[..., int]:
+        @wraps(run)
+        def main(argv: Sequence[str] | None = None) -> int:
+            spell_out()
+            argv = sys.argv[1:] if argv is None else argv
+            if {"-h", "--help"} & set(argv) or not (argv or bare):
+                print(f"usage: {prog} {flags}\n\n{kind.__doc__}{more}")
+                return 0
+            with refused(prog, argv):
+                code = run(read(kind, argv, prog), argv)
+            return code
+
+        return main
+
+    return made
+
+
+@contextlib.contextmanager
+def refused(
+    prog: str, argv: Sequence[str], kinds: tuple[type[Exception], ...] = (ValueError, ImportError)
+) -> Iterator[None]:
+    """Bad input, told meanwhile by such an error, ends the process with code 2 and one line."""
     try:
-        return run(call, argv)
-    except ValueError as error:
+        yield
+    except kinds as error:
+        if isinstance(error, SettingError):
+            fail(f"{flag_of(error, argv)} {error.said}", prog)
         fail(str(error), prog)
+
+
+@contextlib.contextmanager
+def receiving(handlers: Mapping[int, Any]) -> Iterator[None]:
+    """Who receives signals meanwhile, by their numbers; in the main thread alone."""
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def fail(message: str, prog: str) -> NoReturn:
@@ -261,8 +287,8 @@ def _one_line(panel: str) -> str:
     return " ".join(inside) or " ".join(panel.split())
 
 
-def by_name(known: Mapping[str, O], what: str, name: str | None, prog: str) -> O:
-    """What ``--part`` or ``--preset`` names; the first without."""
+def by_name(known: Mapping[str, O], what: str, name: str | None) -> O:
+    """What ``--part`` or ``--preset`` names, the first without; `ValueError` where none has it."""
     if name is not None and name not in known:
-        fail(f"--{what} {name}: there is no such {what}; there are {', '.join(known)}", prog)
+        raise ValueError(f"--{what} {name}: there is no such {what}; there are {', '.join(known)}")
     return known[name] if name is not None else next(iter(known.values()))

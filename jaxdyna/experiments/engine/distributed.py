@@ -141,9 +141,7 @@ class Processes:
             self._ask("yes")
 
     def leave(self) -> None:
-        """Waits until all have come here; `KeyboardInterrupt` where one is lost, or this one
-        interrupted.
-        """
+        """Waits until all are here; `KeyboardInterrupt` if one is lost, or this interrupted."""
         self._ask("leave")
         self.ending.set()
 

@@ -1,6 +1,4 @@
-"""An experiment is data: what is filled in, and what is made of it. A study is a table of
-overrides.
-"""
+"""An experiment is data: what is filled in, and made of it. A study is a table of overrides."""
 
 from __future__ import annotations
 
@@ -76,8 +74,8 @@ class Experiment:
     arms: Callable[[Any], Mapping[str, Callable[[], Arm]]]
     #: by preset, what ``--quick`` changes
     quick: Mapping[str, Overrides] = field(default_factory=dict)
-    #: when a run counts as solved; None where nothing is solved, or it gives None
-    rule: Callable[[Any], SolveRule | None] | None = None
+    #: when a run counts as solved; None where nothing is
+    rule: Callable[[Any], SolveRule | None] = lambda options: None
     #: ``(options, curves) -> entries`` of an arm in ``results.json``
     describe: Sequence[Callable[[Any, Curves], Results]] = ()
     #: by name ``(options, say) -> JSON``: host work without runs
@@ -112,9 +110,8 @@ class Study(NamedTuple):
             base = fields.changed(base, {"arms": tuple(self.rows(base.resolved()))})
 
         def arms(options: Any) -> Mapping[str, Callable[[], Arm]]:
-            return {
-                name: partial(self.made, options, row) for name, row in self.rows(options).items()
-            }
+            rows = self.rows(options)
+            return {name: partial(self.made, options, row) for name, row in rows.items()}
 
         return replace(
             self.of, name=self.name, title=self.title, presets={self.preset: base}, arms=arms,
@@ -137,7 +134,6 @@ class Entry(NamedTuple):
 
     name: str  #: of the entry
     arm: str  #: its name alone
-    setting: str | None  #: the rest of it, None where there is none
     names: tuple[str, ...]  #: by any of which it is asked for
     options: Any  #: the experiment's in that setting, resolved
     make: Callable[[], Arm]  #: makes it
@@ -156,8 +152,7 @@ def entries(
     for point, setup in zip(grid, setups, strict=True):
         if other := [path for path in point if fields.value_at(setup, path) != point[path]]:
             raise ValueError(f"--sweep {other[0]}: other settings do not allow {point[other[0]]}")
-    rules = {experiment.rule(setup): None for setup in setups} if experiment.rule else {}
-    if len(rules) > 1:
+    if len({experiment.rule(setup) for setup in setups}) > 1:
         raise ValueError(
             f"--sweep {', '.join(sweep)}: runs would count as solved by several rules, and could "
             "not be compared: play each value by a command of its own, or give the experiment one "
@@ -176,7 +171,7 @@ def entries(
             full = f"{arm}@{where}" if where else arm
             if name in table:
                 own = study.setup(setup, row) if study else setup
-                made.append(Entry(full, arm, where or None, (arm, name, full), own, table[name]))
+                made.append(Entry(full, arm, (arm, name, full), own, table[name]))
     return made
 
 

@@ -119,8 +119,7 @@ def clear(checkpoints: Path) -> None:
 
 def files(folder: Path) -> list[Path]:
     """What a record in this folder consists of: the figures are those that its report shows; what
-    is kept, and who was told of it, are folders; ``results.json``, which tells whose it is, comes
-    last.
+    is kept, and who was told of it, are folders; ``results.json``, which tells whose it is, last.
     """
     report = folder / "report.md"
     shown = FIGURE.findall(report.read_text(encoding="utf-8")) if report.is_file() else []

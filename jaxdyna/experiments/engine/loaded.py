@@ -40,9 +40,10 @@ def load(folder: str | Path, *parts: Experiment | Study) -> Loaded:
         raise ValueError(f"{folder} has no result of a run: name the folder that --out named")
     if results.get("format", FORMAT) > FORMAT:
         raise ValueError(f"{folder} is of a later version of jaxdyna: update this one")
-    _, options, every = recorded(results, parts)
+    experiment, options, every = recorded(results, parts)
     curves = storage.read_curves(folder / "curves.npz", storage.identity(results))
-    return Loaded(folder, results, options, curves, {entry.name: entry for entry in every})
+    entries = {entry.name: entry for entry in every}
+    return Loaded(folder, experiment, results, options, curves, entries)
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ class Loaded:
     """What a run left."""
 
     folder: Path  #: where it lies
+    experiment: Experiment  #: what was played
     #: its ``results.json``; ``results["config"]`` are the settings as JSON
     results: storage.Results
     options: Any  #: the settings, resolved
@@ -104,9 +106,7 @@ class Loaded:
     def scenes(
         self, arms: Sequence[str] = (), seed: int | None = None
     ) -> dict[str, tuple[Trained, Scene]]:
-        """By arm what a run has learned, and its worlds to be watched, as `film` does; those that
-        have a dream come first.
-        """
+        """What runs learned, by arm, and their worlds to watch, see `film`; dreams come first."""
         runs = {arm: self.trained(arm, seed) for arm in arms or self.kept}
         if not runs:
             raise ValueError(f"{self.folder} keeps no policy: play with --keep-runs above 0")

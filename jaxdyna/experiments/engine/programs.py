@@ -15,10 +15,11 @@ import shutil
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import IO, Any
+from typing import Any
 
 import jax
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
@@ -59,19 +60,17 @@ def kept() -> Iterator[Callable[[], None]]:
     shares the new entries with processes that start later, to be called while nothing is being
     compiled; it is called in the end, too.
     """
-    before = {name: getattr(jax.config, name) for name in (DIRECTORY, *HOW)}
-    own, held = (None, None) if before[DIRECTORY] else _begun(home() / machine())
-    if own is None or held is None:
-        yield lambda: None
-        return
-    with held:
-        try:
-            _configure({DIRECTORY: str(own), **HOW})
-            yield lambda: _share(own)
-        finally:
-            _configure(before)
-            _share(own)
-            shutil.rmtree(own, ignore_errors=True)
+    before, share = {name: getattr(jax.config, name) for name in (DIRECTORY, *HOW)}, lambda: None
+    with ExitStack() as stack:
+        if not before[DIRECTORY]:
+            with suppress(OSError):
+                own = _begun(home() / machine(), stack)
+                share = partial(_share, own)
+                stack.callback(shutil.rmtree, own, ignore_errors=True)
+                stack.callback(share)
+                stack.callback(_configure, before)
+                _configure({DIRECTORY: str(own), **HOW})
+        yield share
 
 
 def _configure(values: Mapping[str, Any]) -> None:
@@ -80,23 +79,20 @@ def _configure(values: Mapping[str, Any]) -> None:
     reset_cache()  # it looks at its folder once
 
 
-def _begun(folder: Path) -> tuple[Path | None, IO[str] | None]:
-    """A folder for this process, linked to all entries of ``folder``, and the lock that tells
-    others that the process lives; before that `_tidy`. Nothing where that cannot be.
+def _begun(folder: Path, stack: ExitStack) -> Path:
+    """A folder for this process, linked to all entries of ``folder``, in which a lock tells others
+    until the stack is closed that the process lives; before that `_tidy`.
     """
-    with suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True)
-        with (folder / LOCK).open("a") as lock, ExitStack() as stack:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            _tidy(folder)
-            own = Path(mkdtemp(prefix=PROCESS, dir=folder))
-            held = stack.enter_context((own / LOCK).open("a"))
-            fcntl.flock(held, fcntl.LOCK_EX)
-            for entry in folder.glob(ENTRIES):
-                (own / entry.name).hardlink_to(entry)
-            stack.pop_all()
-        return own, held
-    return None, None
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / LOCK).open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _tidy(folder)
+        own = Path(mkdtemp(prefix=PROCESS, dir=folder))
+        held = stack.enter_context((own / LOCK).open("a"))
+        fcntl.flock(held, fcntl.LOCK_EX)
+        for entry in folder.glob(ENTRIES):
+            (own / entry.name).hardlink_to(entry)
+    return own
 
 
 def _tidy(folder: Path) -> None:

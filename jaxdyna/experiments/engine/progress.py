@@ -35,8 +35,7 @@ TRACKED = 10  #: runs of each arm, the first ones, of which others are told
 
 
 class Bars(Progress):
-    """A bar for each arm, in units of a run; where there is no terminal, a line at each new stage
-    and each minute.
+    """A bar for each arm, in units of a run; without a terminal a line each new stage and minute.
 
     Args:
         console: where they are drawn.
@@ -180,25 +179,23 @@ def trackers(names: Sequence[str]) -> list[Tracker]:
 def gather(folders: Sequence[Path], out: Path) -> None:
     """Makes one log of these folders'; a line that was torn is dropped: it is played again."""
     with written(out / LOG) as part, part.open("w", encoding="utf-8") as file:
-        file.writelines(_lines(folders, {}))
+        file.writelines(line for _, _, line in _lines(folders))
 
 
 def logged(folder: Path) -> dict[tuple[str, int], int]:
     """The last step of each run, by arm and seed."""
+    return {run: step for run, step, _ in _lines([folder])}
+
+
+def _lines(folders: Sequence[Path]) -> Iterator[tuple[tuple[str, int], int, str]]:
+    """Every whole line once, with its run and its step."""
     last: dict[tuple[str, int], int] = {}
-    for _ in _lines([folder], last):
-        pass
-    return last
-
-
-def _lines(folders: Sequence[Path], last: dict[tuple[str, int], int]) -> Iterator[str]:
-    """Every whole line once; ``last`` becomes the last step of each run."""
     for path in (folder / LOG for folder in folders if (folder / LOG).exists()):
         with path.open(encoding="utf-8", errors="replace") as file:
             for line in file:
                 with suppress(ValueError, KeyError, TypeError):
                     said = json.loads(line)
-                    run = said["arm"], said["seed"]
-                    if line.endswith("\n") and said["step"] > last.get(run, 0):
-                        last[run] = said["step"]
-                        yield line
+                    run, step = (said["arm"], said["seed"]), said["step"]
+                    if line.endswith("\n") and step > last.get(run, 0):
+                        last[run] = step
+                        yield run, step, line

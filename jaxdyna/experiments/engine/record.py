@@ -45,7 +45,7 @@ def results_of(
     """What is in ``results.json``, from the experiment's settings, every entry that there can be,
     curves ``[runs, ...]``, and what says ``about`` these how they came about, ``timing`` with it.
     """
-    rule = experiment.rule(options) if experiment.rule else None
+    rule = experiment.rule(options)
     setups = {entry.name: entry.options for entry in every}
     arms: Results = {}
     for name, values in curves.items():
@@ -71,9 +71,7 @@ def results_of(
 
 
 def home_of(part: Experiment | Study | None) -> Results:
-    """The ``module`` that an experiment is in, by the name by which it can be imported; nothing
-    where it is in none.
-    """
+    """The ``module`` an experiment is in, as it can be imported; nothing where it is in none."""
     main = sys.modules["__main__"]  # which may have several names
     script = Path(getattr(main, "__file__", None) or "").stem
     for name, module in sorted(sys.modules.items(), key=lambda one: one[1] is main):
@@ -121,9 +119,7 @@ def read_back(options: Any, sweep: Mapping[str, Sequence[Any]]) -> dict[str, lis
 
 
 def write_report(experiment: Experiment, record: Record) -> str:
-    """Writes ``report.md``, its figures and ``report.html`` into the record's folder; returns the
-    text.
-    """
+    """Writes ``report.md``, figures, ``report.html`` into the record's folder; returns the text."""
     head = [f"# {experiment.title}", f"`{record.results['command']}`"]
     if missing := record.results.get("unfinished"):
         head.append(f"**Interrupted: {', '.join(missing)} not finished; --resume goes on.**")
@@ -146,9 +142,7 @@ def _diverged(record: Record) -> str:
     for name, arm in record.results["arms"].items():
         runs = arm.get("diverged", {})
         unit = "episode" if "real_return" in record.curves[name] else "update"
-        each = [
-            f"seed {seed} in {unit} {one['unit']} ({one['part']})" for seed, one in runs.items()
-        ]
+        each = [f"seed {seed} in {unit} {at['unit']} ({at['part']})" for seed, at in runs.items()]
         more = [f"{len(each) - 3} more runs"] if len(each) > 3 else []
         said += [f"{name}: {', '.join(each[:3] + more)}"] if each else []
     if not said:
@@ -164,10 +158,9 @@ def different(before: Results, now: Results, prefix: str = "") -> list[str]:
     """Paths of the settings that differ; ones that did not exist then are as they were."""
     paths = []
     for name, value in now.items():
-        if name not in before or before[name] == value:
-            continue
-        nested = isinstance(value, dict) and isinstance(before[name], dict)
-        paths += (
-            different(before[name], value, f"{prefix}{name}.") if nested else [f"{prefix}{name}"]
-        )
+        path, then = f"{prefix}{name}", before.get(name, value)
+        if isinstance(value, dict) and isinstance(then, dict):
+            paths += different(then, value, f"{path}.")
+        elif then != value:
+            paths.append(path)
     return paths

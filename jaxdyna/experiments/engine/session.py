@@ -6,8 +6,8 @@ import gc
 import itertools
 import json
 import shlex
-import signal
 import sys
+import threading
 import time
 import zlib
 from collections import Counter
@@ -37,7 +37,6 @@ from jaxdyna.experiments.engine.record import (
     write_report,
 )
 from jaxdyna.experiments.engine.storage import InputError, Results
-from jaxdyna.fields import SettingError
 from jaxdyna.statistics import episodes_to_solve
 
 NOT_SETTINGS = ("arms",)
@@ -67,34 +66,30 @@ def main(
     prog = prog or _prog()
     processes = Processes()
     with ExitStack() as stack:
-        try:
+        with cli.refused(prog, argv):
             if said is not None:
                 processes.found(said, stack)
             session = replace(prepared(parts, argv, prog), processes=processes)
             session.begin(stack, log)
-        except SettingError as error:
-            cli.fail(f"{cli.flag_of(error, argv)} {error.said}", prog)
-        except (ValueError, ImportError) as error:
-            cli.fail(str(error), prog)
-        try:
-            return session.run()
-        except InputError as error:
-            cli.fail(str(error), prog)
+        with cli.refused(prog, argv, (InputError,)):
+            code = session.run()
+    return code
 
 
 def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str) -> Session:
-    """The session that a command line asks for; nothing is played yet."""
+    """The session that is asked for, not begun; `ValueError` if bad, `SystemExit` after help."""
     asked = [word for word in argv if word not in ("--help", "-h", "--help-all")]
     if {"--resume", "--fresh"} <= set(asked):
-        cli.fail("--resume goes on with unfinished work, --fresh drops it: leave one out", prog)
+        raise ValueError("--resume goes on with unfinished work, --fresh drops it: leave one out")
     if "--out=" in asked or ("--out", "") in itertools.pairwise(asked):
-        cli.fail("--out is empty: name a folder, . for this one", prog)
+        raise ValueError("--out is empty: name a folder, . for this one")
     call, rest = cli.read(cli.Call, asked, prog, return_unknown_args=True)
     earlier = _earlier(call, parts[0].name)
     call = replace(call, **{name: earlier[name] for name in FROM if name in earlier})
-    part = cli.by_name({part.name: part for part in parts}, "part", call.part, prog)
+    known = {part.name: part for part in parts}
+    part = cli.by_name(known, "part", call.part)
     experiment = part.experiment() if isinstance(part, Study) else part
-    default = cli.by_name(experiment.presets, "preset", call.preset, prog)
+    default = cli.by_name(experiment.presets, "preset", call.preset)
     default = fields.restored(default, earlier.get("config", {}))
     if earlier and call.sweep:  # its rows have other names than those of an earlier one
         arms = dict.fromkeys(name.partition("@")[0] for name in default.arms)
@@ -102,19 +97,16 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     preset = call.preset or next(iter(experiment.presets))
     quick = experiment.quick.get(preset)
     if len(asked) < len(argv):
-        arms = dict.fromkeys(name.partition("@")[0] for name in experiment.arms(default.resolved()))
-        print(cli.help_text(
-            prog, [part.name for part in parts], [*experiment.presets], [*arms], default,
-            "--help-all" in argv, hidden=() if quick else ("quick",)))  # fmt: skip
+        print(cli.help_text(prog, known, experiment, default, "--help-all" in argv))
         raise SystemExit(0)
     if call.quick:
         if not quick:
-            cli.fail(f"--quick: {experiment.name} has none: lower --seeds and --episodes", prog)
+            raise ValueError(f"--quick: {experiment.name} has none: lower --seeds and --episodes")
         default = fields.changed(default, {**quick, "quick": True})
     asked_for = cli.parse(default, rest, prog)
     options = asked_for.resolved()
     if "--arms" in rest and not options.arms:
-        cli.fail("--arms is empty: name arms, or leave it out for all", prog)
+        raise ValueError("--arms is empty: name arms, or leave it out for all")
     sweep = cli.swept(options, call.sweep) or read_back(default, earlier.get("sweep", {}))
     every = entries(experiment, asked_for, sweep)
     command = f"{prog} {shlex.join(word for word in argv if word != '--resume')}".strip()
@@ -124,9 +116,8 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
     if of > 1:
         out = out / "parts" / f"{number}-of-{of}"
     return Session(
-        experiment, options, every, call.out or out, command, call.resume, call.fresh, call.shards,
-        sweep, family=parts[0].name, cache=call.cache, keep=call.keep_runs, film=call.film,
-        part=part, told=call.log)  # fmt: skip
+        parts[0].name, part, experiment, options, every, sweep, call, call.out or out, command
+    )
 
 
 def _earlier(call: cli.Call, name: str) -> Results:
@@ -157,22 +148,16 @@ def _prog() -> str:
 class Session:
     """Plays what is not finished, keeps what is on disk, and reports."""
 
+    family: str  #: the name of the experiment whose part this is
+    part: Experiment | Study  #: what ``main`` was given
     experiment: Experiment  #: what is played
     options: Any  #: its settings, resolved
     every: list[Entry]  #: each of ``results["arms"]`` that there can be
+    sweep: Mapping[str, Sequence[Any]]  #: values by dotted path
+    call: cli.Call  #: what else was asked for
     out: Path  #: the folder for the results
     command: str  #: as typed
-    resume: bool = False  #: whether to go on with what is there
-    fresh: bool = False  #: whether to drop unfinished work that is there
-    shard: tuple[int, int] = (1, 1)  #: ``(I, N)``
-    sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)  #: values by dotted path
-    family: str = ""  #: the name of the experiment whose part this is
-    cache: bool = True  #: whether compiled programs are kept for later
     processes: Processes = field(default_factory=Processes)  #: that share the work
-    keep: int = 0  #: of how many runs of each arm it is kept what they have learned
-    film: bool = False  #: whether that is filmed
-    part: Experiment | Study | None = None  #: what ``main`` was given
-    told: Sequence[str] = ()  #: who is told of the first runs, by name
     console: Console = field(
         default_factory=lambda: Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     )
@@ -182,7 +167,7 @@ class Session:
         takes up what is there or sets it aside; `ValueError` with what to change.
         """
         self.began, self.earlier = time.perf_counter(), None
-        self.share = stack.enter_context(programs.kept()) if self.cache else lambda: None
+        self.share = stack.enter_context(programs.kept()) if self.call.cache else lambda: None
         self.curves: dict[str, work.Curves] = {}
         self.timing: dict[str, dict[str, float]] = {}
         self.measured: dict[str, Any] = {}
@@ -194,7 +179,7 @@ class Session:
             raise ValueError("--shard has more parts than there are --seeds: give fewer")
         self.entries = chosen(self.every, self.options.arms)
         self.arms = {entry.name: entry.make() for entry in self.entries}
-        self.trackers = [*progress.trackers(self.told), *log]
+        self.trackers = [*progress.trackers(self.call.log), *log]
         with self.processes.after_first():
             self._take_folder(stack)
         self.logged = progress.logged(self.out)
@@ -202,7 +187,7 @@ class Session:
     def _take_folder(self, stack: ExitStack) -> None:
         first = self.processes.first
         whose = {"experiment": self.family, "part": self.experiment.name}
-        if first and self.resume and not self.out.is_dir():
+        if first and self.call.resume and not self.out.is_dir():
             raise ValueError(f"nothing to resume in {self.out}: run once without --resume")
         if not first and not (self.checkpoints / "settings.json").is_file():
             raise ValueError(
@@ -210,10 +195,15 @@ class Session:
                 "it: choose a folder that all hosts share"
             )
         lock = stack.enter_context(folders.held(self.out, alone=first))
-        if self.resume or not first:
-            self._take_up(whose)
+        if self.call.resume or not first:
+            try:
+                self._take_up(whose)
+            except (KeyError, TypeError, AttributeError) as error:
+                raise ValueError(
+                    f"{self.out / 'results.json'} is not as it was written ({error!r}): restore it"
+                ) from None
         else:
-            folders.claim(self.out, whose, self.fresh)
+            folders.claim(self.out, whose, self.call.fresh)
         if first:
             self.checkpoints.mkdir(exist_ok=True)
             storage.write_json(self.checkpoints / "settings.json", self.identity() | self.made)
@@ -222,11 +212,9 @@ class Session:
                 folders.share(lock)
 
     def run(self) -> int:
-        """Plays and reports; returns the exit code, as `main`. `InputError` where something in
-        mid-run is the user's to mend.
-        """
+        """Plays, reports, returns `main`'s exit code; `InputError` where a user can mend it."""
         code, first = 0, self.processes.first
-        engine = work.Engine(keep=self.keep, interrupted=self.processes.interrupted)
+        engine = work.Engine(keep=self.call.keep_runs, interrupted=self.processes.interrupted)
         self.processes.tell = self._stopped
         try:
             with _deferred_interrupt(engine):
@@ -266,7 +254,7 @@ class Session:
     @property
     def seeds(self) -> list[int]:
         """The global numbers of the runs that are played."""
-        number, of = self.shard
+        number, of = self.call.shards
         return list(range(number - 1, self.options.seeds, of))
 
     def _play(self, engine: work.Engine, arms: Mapping[str, work.Arm]) -> None:
@@ -289,11 +277,11 @@ class Session:
             folder = self.checkpoints / _identifier(group, runs)
             if rows:
                 works[name] = played[0].work, runs.only(rows)
-                stores[name] = Store(folder, self.console.print, rows)
+                stores[name] = Store(folder, self.console.print)
                 totals[name] = int(works[name][1].units.max()), len(rows)
                 told[name] = self._told(group, rows)
         names = [*works]
-        at_once = min(storage.cores(), COMPILED)
+        at_once, over = min(storage.cores(), COMPILED), self._over()
         console = self.console if self.processes.first else Console(quiet=True)
         with progress.Bars(console, totals) as bars:
             for ahead in (names[at : at + at_once] for at in range(0, len(names), at_once)):
@@ -307,13 +295,9 @@ class Session:
                     with ExitStack() as stack:
                         for run in told[name]:
                             stack.callback(run.close)
-                        done = engine.play(
-                            *works[name], self._over(), stores[name], say, told[name]
-                        )
-                    length = max(
-                        (len(run.get("real_return", ())) for run in done.curves), default=0
-                    )
-                    bars.tell(name, "done", length or totals[name][0], len(done.curves))
+                        done = engine.play(*works[name], over, stores[name], say, told[name])
+                    lengths = [len(run.get("real_return", ())) for run in done.curves]
+                    bars.tell(name, "done", max(lengths) or totals[name][0], len(lengths))
                     self.timing[name] = done.seconds._asdict()
                     self.share()
                     if self.processes.of == 1:
@@ -343,11 +327,8 @@ class Session:
 
     def _over(self) -> work.Over | None:
         """When a run is over: so many episodes after it has solved."""
-        rule, stop = self.experiment.rule, self.options.stop_after_solved
-        if rule is None or stop is None:
-            return None
-        solves = rule(self.options)
-        if solves is None:
+        solves, stop = self.experiment.rule(self.options), self.options.stop_after_solved
+        if solves is None or stop is None:
             return None
 
         def over(curves: work.Curves) -> np.ndarray:
@@ -358,44 +339,31 @@ class Session:
 
     def _measure(self) -> None:
         """What the host measures, unless an earlier run has it."""
-        path = self.checkpoints / "measured.json"
-        before = (storage.read_json(path) or {}) if self.resume else {}
-        self.measured |= before
         for name, measure in self.experiment.measures.items():
             if name not in self.measured:
                 began = time.perf_counter()
                 found = measure(self.options, self.console.print)
-                seconds = {"measure_s": time.perf_counter() - began}
+                self.timing[name] = {"measure_s": time.perf_counter() - began}
                 self.measured[name] = json.loads(json.dumps(found))
-                self.timing[name] = seconds
-                storage.write_json(path, self.measured)
+                self._write()
 
     def identity(self) -> Results:
         """What a run must have in common with the one that it resumes, or else is another one."""
         return identity_of({
             "experiment": self.family, "part": self.experiment.name,
-            "sweep": fields.plain(dict(self.sweep)), "runs": {"shard": list(self.shard)},
+            "sweep": fields.plain(dict(self.sweep)), "runs": {"shard": list(self.call.shards)},
             "config": fields.plain(self.options)})  # fmt: skip
 
     def _take_up(self, whose: Mapping[str, str]) -> None:
-        """Reads what an earlier run of these settings finished; `ValueError` where there is
-        none.
-        """
+        """Reads what an earlier run of these settings finished; `ValueError` without one."""
         begun = storage.read_json(self.checkpoints / "settings.json")
         results = storage.read_json(self.out / "results.json")
-        try:
-            self._take_up_from(begun, results, whose)
-        except (KeyError, TypeError, AttributeError) as error:
-            raise ValueError(
-                f"{self.out / 'results.json'} is not as it was written ({error!r}): restore it"
-            ) from None
-
-    def _take_up_from(self, begun: Any, results: Any, whose: Mapping[str, str]) -> None:
         if not all(folders.is_of(about, whose) for about in (begun, results) if about is not None):
             raise ValueError(f"--out {self.out} has files of no such run: choose its own folder")
         finished, now = results and identity_of(results), self.identity()
+        stores = [*map(Store, {path.parent for path in checkpoints_below(self.checkpoints)})]
         before = begun or finished
-        if before is None and checkpoints_below(self.checkpoints):
+        if before is None and stores:
             raise ValueError(
                 f"{self.checkpoints / 'settings.json'} is gone: restore it, or remove that folder"
             )
@@ -407,10 +375,6 @@ class Session:
                 "choose another --out"
             )
         begun_with = {name: (begun or {}).get(name) for name in self.made}
-        stores = [
-            Store(folder)
-            for folder in {path.parent for path in checkpoints_below(self.checkpoints)}
-        ]
         if (stores or not self.processes.first) and begun_with != self.made:
             raise ValueError(
                 f"the run in {self.out} was begun with {storage.changes(begun_with, self.made)}: a "
@@ -425,9 +389,7 @@ class Session:
         self.timing = results["timing"]["arms"]
         self.earlier_s += sum(one.get("compile_s", 0.0) for one in self.timing.values())
         self.earlier_s = max(self.earlier_s, results["timing"]["total_s"])
-        self.measured = {
-            name: results[name] for name in self.experiment.measures if name in results
-        }
+        self.measured = {one: results[one] for one in self.experiment.measures if one in results}
         if results["command"] != self.command:
             self.command = f"{results['command']} && {self.command} --resume"
         self.curves = storage.read_curves(self.out / "curves.npz", storage.identity(results))
@@ -444,10 +406,11 @@ class Session:
         if self.processes.of > 1:
             timing["shards"] = self.processes.of
         made, others = storage.provenance(self.made, self.earlier), self.others
-        if self.earlier and self.curves.keys() <= self.earlier["arms"].keys():
+        done = self.curves.keys() | self.measured.keys()
+        if self.earlier and done <= self.earlier["arms"].keys() | self.earlier.keys():
             made = {name: self.earlier.get(name) for name in made}  # drawn anew, not played
             others = self.earlier.get("made_otherwise", {})
-        runs = {"seeds": self.seeds, "of": self.options.seeds, "shard": list(self.shard),
+        runs = {"seeds": self.seeds, "of": self.options.seeds, "shard": list(self.call.shards),
                 "block": self.options.block}  # fmt: skip
         about = {
             "experiment": self.family, "part": self.experiment.name, "command": self.command,
@@ -464,9 +427,9 @@ class Session:
 
     def _report(self) -> None:
         self._write()
-        if self.film and "unfinished" not in self.results:
+        if self.call.film and "unfinished" not in self.results:
             try:
-                load(self.out, *([self.part] if self.part else [])).film()
+                load(self.out, self.part).film()
             except ValueError as error:
                 self.console.print(f"There is no film: {error}", markup=False)
         record = Record(self.options, self.results, self.curves, self.out)
@@ -520,15 +483,8 @@ def _deferred_interrupt(engine: work.Engine) -> Iterator[None]:
             raise KeyboardInterrupt
         engine.interrupted.set()
 
-    try:
-        before = {one: signal.signal(one, receive) for one in (signal.SIGINT, signal.SIGTERM)}
-    except ValueError:  # not the main thread
+    main = threading.current_thread() is threading.main_thread()
+    with cli.receiving(dict.fromkeys(cli.ENDS, receive) if main else {}):
         yield
-        return
-    try:
-        yield
-        if engine.interrupted.is_set():
-            raise work.Interrupted
-    finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
+    if engine.interrupted.is_set():
+        raise work.Interrupted

@@ -31,8 +31,6 @@ CHECKSUM = "checksum"
 DAMAGED = (
     KeyError, OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error
 )  # fmt: skip
-#: what arrays of earlier records are called today
-FORMERLY = {"oracle_return": "optimal_return", "greedy_oracle": "greedy_optimal"}
 PACKAGE = Path(jaxdyna.__file__).resolve().parent
 
 
@@ -111,9 +109,7 @@ def write_arrays(
     path: Path, arrays: Curves, compressed: bool = False, before: Path | None = None,
     whose: str = "",
 ) -> None:  # fmt: skip
-    """Writes arrays by name into one file, of NumPy's format; ``before``: see `written`; ``whose``:
-    what they belong to.
-    """
+    """Writes arrays by name into one NumPy file; ``before``: see `written`; ``whose``: owner."""
     save: Any = np.savez_compressed if compressed else np.savez
     with written(path, before) as part:
         with part.open("wb") as file:
@@ -158,9 +154,7 @@ def identity(results: Results) -> str:
 
 def write_curves(path: Path, arms: Mapping[str, Curves], whose: str = "") -> None:
     """Writes every array as ``NAME/array``; ``whose``: the `identity` of their results."""
-    flat = {
-        f"{arm}/{name}": values for arm, curves in arms.items() for name, values in curves.items()
-    }
+    flat = {f"{arm}/{name}": one for arm, own in arms.items() for name, one in own.items()}
     write_arrays(path, flat, compressed=True, whose=whose)
 
 
@@ -173,7 +167,7 @@ def read_curves(path: Path, whose: str = "") -> dict[str, dict[str, np.ndarray]]
         arrays = read_arrays(path, whose=whose) if path.exists() else {}
         for name, values in arrays.items():
             arm, _, array = name.rpartition("/")
-            arms.setdefault(arm, {})[FORMERLY.get(array, array)] = values
+            arms.setdefault(arm, {})[array] = values
     except ValueError as error:
         raise ValueError(f"{error}: restore it, or remove it to play all of it again") from None
     return arms

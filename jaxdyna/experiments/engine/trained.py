@@ -66,10 +66,10 @@ class Keeper:
     """
 
     def __init__(self, init: Callable[..., Any], trained: Callable[..., Trained], hparams: Any):
-        self.trained, self.like = trained, jax.eval_shape(lambda: hparams)
-        key = jax.eval_shape(jax.random.key, 0)
-        state = jax.eval_shape(init, key, self.like)
-        self.shapes = jax.eval_shape(self._last, state, key, self.like)
+        self.trained, self.key = trained, jax.eval_shape(jax.random.key, 0)
+        self.like = jax.eval_shape(lambda: hparams)
+        state = jax.eval_shape(init, self.key, self.like)
+        self.shapes = jax.eval_shape(self._last, state, self.key, self.like)
         options = optimised(1, jax.devices()[0])
         self.play = jax.jit(self._played, static_argnums=3, compiler_options=options)
 
@@ -89,8 +89,7 @@ class Keeper:
 
     def differs(self, kept: Arrays) -> str:
         """How that is not what would be kept today, in words; nothing where it is."""
-        key = jax.eval_shape(jax.random.key, 0)
-        wanted = jax.eval_shape(self.keep, self.shapes.state, None, key, self.like)
+        wanted = jax.eval_shape(self.keep, self.shapes.state, None, self.key, self.like)
         return unlike({name: kept[name] for name in wanted if name in kept}, wanted)
 
     @cached_property
@@ -106,8 +105,7 @@ class Keeper:
             start = jax.tree.map(lambda leaf: leaf[0], last.starts)
             return start, run.dream.step(keys[2], start[1], action, run.dream_params)
 
-        key = jax.eval_shape(jax.random.key, 0)
-        jaxpr = jax.make_jaxpr(step)(self.shapes, key, self.like).jaxpr
+        jaxpr = jax.make_jaxpr(step)(self.shapes, self.key, self.like).jaxpr
         _, read = dce_jaxpr(jaxpr, [True] * len(jaxpr.outvars))
         paths = [path for path, _ in jax.tree.leaves_with_path(self.shapes)]
         return [jax.tree_util.keystr(path) for path, is_ in zip(paths, read, strict=False) if is_]
@@ -159,9 +157,7 @@ def file_of(folder: Path, arm: str, seed: int) -> Path:
 
 
 def _whose(arm: str, seed: int, run: Arrays) -> str:
-    """A hash of which run it is and what it earned: the same in a shard and in the whole, and where
-    settings were added since.
-    """
+    """A hash of which run it is and what it earned: the same in shards, and by later settings."""
     earned = np.asarray(run[REAL], np.float32)
     said = json.dumps([arm, seed, float(run[RETURN])]).encode()
     return sha256(said + earned[np.isfinite(earned)].tobytes()).hexdigest()[:16]

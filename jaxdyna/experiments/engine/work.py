@@ -88,6 +88,7 @@ class Runs(NamedTuple):
     base: int  #: the base seed
     hparams: Any  #: leaves ``[runs, ...]``
     units: np.ndarray  #: the most that each plays, ``[runs]``
+    row: np.ndarray  #: which it is of all runs of the work, ``[runs]``
 
     @property
     def keys(self) -> Key:
@@ -96,10 +97,10 @@ class Runs(NamedTuple):
 
     def only(self, rows: Sequence[int]) -> Runs:
         """Some of them."""
-        seed, hparams, units = jax.tree.map(
-            lambda leaf: leaf[np.array(rows)], (self.seed, self.hparams, self.units)
+        seed, hparams, units, row = jax.tree.map(
+            lambda leaf: leaf[np.array(rows)], (self.seed, self.hparams, self.units, self.row)
         )
-        return Runs(seed, self.base, hparams, units)
+        return Runs(seed, self.base, hparams, units, row)
 
     @property
     def judging(self) -> Key:
@@ -122,6 +123,7 @@ def runs_of(arms: Sequence[Arm], seeds: Sequence[int], base: int) -> Runs:
         base=base,
         hparams=jax.tree.map(along, *(arm.hparams for arm in arms)),
         units=np.repeat([arm.units for arm in arms], len(seeds)),
+        row=np.arange(len(arms) * len(seeds)),
     )
 
 
@@ -198,43 +200,33 @@ class Engine:
             raise ValueError(f"log has {len(log)} loggers for {count} runs: give one a run")
         collected = work.collect(runs) if work.collect else None
         began = time.perf_counter()
-        where = places(self.workers)[: -(-count // work.block)]
-        if made := self._lowered(work, runs, collected, where):
+        programs = self._programs(work, runs, collected)
+        if any(program.lowered for program in programs):
             say("compiling", 0, 0)
-            self._compile(made)
-        programs = {place: self.programs[_known(work, runs, place)] for place in where}
+        _compile(programs)
         compile_s = time.perf_counter() - began + self.prepared.pop(work, 0.0)
-        tally = _Tally(say, count, store.seconds() if store else 0.0)
-        pool = _Pool(
-            runs, collected, over, store, tally, programs, where, self.interrupted, self.keep, log
-        )
-        with ThreadPoolExecutor(len(where)) as threads:
-            workers = [threads.submit(pool.serve, place) for place in where]
+        pool = _Pool(self, programs, runs, collected, over, store, say, log)
+        with ThreadPoolExecutor(len(programs)) as threads:
+            workers = [threads.submit(pool.serve, program) for program in programs]
         for worker in workers:
             worker.result()
         if len(pool.curves) < count:
             raise Interrupted
         curves = [pool.curves[row] for row in range(count)]
-        return Played(curves, Seconds(compile_s, tally.seconds()))
+        return Played(curves, Seconds(compile_s, pool.seconds()))
 
     def prepare(self, several: Mapping[Work, Runs]) -> None:
         """Compiles at a time what is played next, which alone keeps little more than a core busy;
         not what waits for data that the host collects. `InputError` where memory is short.
         """
-
-        def compiled(made: Mapping[Any, _Program]) -> float:
-            began = time.perf_counter()
-            self._compile(made)
-            return time.perf_counter() - began
-
         began, took, rest = time.perf_counter(), {}, {}
         with ThreadPoolExecutor(max(len(several), 1)) as pool:  # one compiles as the next is traced
             for work, runs in zip(map(self._asked, several), several.values(), strict=True):
                 if not work.collect:
-                    traced, blocks = time.perf_counter(), -(-len(runs.seed) // work.block)
-                    made = self._lowered(work, runs, None, places(self.workers)[:blocks])
+                    traced = time.perf_counter()
+                    programs = self._programs(work, runs)
                     took[work] = time.perf_counter() - traced
-                    rest[work] = pool.submit(compiled, made)
+                    rest[work] = pool.submit(_compile, programs)
         for work, part in rest.items():
             took[work] += part.result()
         share = (time.perf_counter() - began) / max(sum(took.values()), 1e-9)
@@ -243,26 +235,23 @@ class Engine:
     def _asked(self, work: Work) -> Work:
         return work if self.keep else work._replace(trained=None)
 
-    def _lowered(
-        self, work: Work, runs: Runs, collected: Any, where: Sequence[jax.Device]
-    ) -> dict[Any, _Program]:
-        """What is not compiled yet. Traced here, since a thread has not the caller's `jax.config`
-        contexts.
-        """
-        lacking = {_known(work, runs, place): place for place in where}
-        return {
-            known: _Program(work, runs, collected, place, where.count(place))
-            for known, place in lacking.items() if known not in self.programs}  # fmt: skip
-
-    def _compile(self, made: Mapping[Any, _Program]) -> None:
-        for known, program in made.items():
-            program.compile()
-            self.programs[known] = program
+    def _programs(self, work: Work, runs: Runs, collected: Any = None) -> list[_Program]:
+        """Each worker's; traced here, in the caller's `jax.config` contexts, compiled later."""
+        where = places(self.workers)[: -(-len(runs.seed) // work.block)]
+        shapes = jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams)
+        known = [(work, str(shapes), place) for place in where]
+        for one in {*known} - self.programs.keys():
+            place = one[-1]
+            self.programs[one] = _Program(work, runs, collected, place, where.count(place))
+        return [self.programs[one] for one in known]
 
 
-def _known(work: Work, runs: Runs, place: jax.Device) -> Any:
-    shapes = jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams)
-    return work, str(shapes), place
+def _compile(programs: Sequence[_Program]) -> float:
+    """Those that are not yet; returns the seconds that it takes."""
+    began = time.perf_counter()
+    for program in programs:
+        program.compile()
+    return time.perf_counter() - began
 
 
 def places(workers: int = 0) -> list[jax.Device]:
@@ -277,9 +266,8 @@ class _Program:
     """A work for blocks of its size on one device: lowered, then compiled."""
 
     def __init__(self, work: Work, runs: Runs, collected: Any, place: jax.Device, at_once: int):
-        self.work, self.place = work, place
-        self.at_once = at_once
-        keys, hparams = self.put(_shaped(work.block, (runs.keys, runs.hparams)))
+        self.work, self.place, self.at_once = work, place, at_once
+        keys, hparams = self.shapes((runs.keys, runs.hparams))
 
         def piece(state: Any, data: Any, first: jax.Array, count: jax.Array, hparams: Any) -> Any:
             def one(state: Any, data: Any, hparams: Any) -> Any:
@@ -289,51 +277,46 @@ class _Program:
 
         start = jax.jit(over_runs(work.init, work.block)).lower(keys, hparams)
         making = work.data and jax.jit(over_runs(work.data, work.block)).lower(keys, hparams)
-        data = making.out_info if making else _shaped(work.block, collected)
-        state, data = self.put((start.out_info, data))
+        state, data = self.shapes((start.out_info, making.out_info if making else collected))
         afford(held(state, data), work.block, at_once, place)  # before it compiles for minutes
-        number = self.put(jax.ShapeDtypeStruct((), jnp.int32))
+        key, number = jax.device_put((runs.judging[0], np.int32(0)), place)
         piece_of = jax.jit(piece, donate_argnums=0).lower(state, data, number, number, hparams)
         seldom: dict[str, Any] = {"start": start, "data": making}
         own = jax.tree.map(itemgetter(0), runs.hparams)
         keeper = work.trained and Keeper(work.init, work.trained, own)
         hooks = work.judge, work.show, keeper.keep if keeper else None
-        told = self.put(runs.judging[0]), number, (state, data, hparams)
+        told = state, data, hparams
         for name, hook in zip(HOOKS, hooks, strict=True):
-            seldom[name] = hook and jax.jit(partial(_of_one, hook)).lower(*told)
+            seldom[name] = hook and jax.jit(partial(_of_one, hook)).lower(key, number, told)
         if keeper:
-            seldom["play"] = keeper.play.lower(seldom["keep"].out_info, told[0], own, EPISODES)
+            seldom["play"] = keeper.play.lower(seldom["keep"].out_info, key, own, EPISODES)
         self.lowered = {name: (one, optimised(1, place)) for name, one in seldom.items() if one}
         self.lowered["piece"] = piece_of, optimised(work.level, place)
 
     def compile(self) -> None:
-        """Compiles it, and looks at the memory it takes: `InputError` where there is too little."""
+        """Compiles it, once, and looks at the memory it takes: `InputError` where it lacks."""
+        if not self.lowered:
+            return
         with ThreadPoolExecutor(len(self.lowered)) as pool:  # XLA compiles without Python's lock
-            made = pool.map(
-                lambda one: one[0].compile(compiler_options=one[1]), self.lowered.values()
-            )
+            made = pool.map(lambda one: one[0].compile(one[1]), self.lowered.values())
             self.calls = dict(zip(self.lowered, made, strict=True))
-        self.lowered = {}
         afford(used_by(self.calls["piece"]), self.work.block, self.at_once, self.place)
+        self.lowered = {}
 
-    def put(self, tree: Any) -> Any:
-        """Shapes on this program's device."""
-        where = jax.sharding.SingleDeviceSharding(self.place)
-        return jax.tree.map(
-            lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=where), tree
-        )
+    def shapes(self, tree: Any) -> Any:
+        """Of leaves ``[runs, ...]`` those of a block, on this program's device."""
+        where, block = jax.sharding.SingleDeviceSharding(self.place), self.work.block
+
+        def of(leaf: Any) -> jax.ShapeDtypeStruct:
+            return jax.ShapeDtypeStruct((block, *leaf.shape[1:]), leaf.dtype, sharding=where)
+
+        return jax.tree.map(of, tree)
 
 
 def _of_one(judge: Callable, key: Key, lane: jax.Array, held: tuple[Any, Any, Any]) -> Any:
     """What is judged of one run of a block, of which no more is copied than is looked at."""
     state, data, hparams = jax.tree.map(itemgetter(lane), held)
     return judge(state, data, key, hparams)
-
-
-def _shaped(block: int, tree: Any) -> Any:
-    return jax.tree.map(
-        lambda leaf: jax.ShapeDtypeStruct((block, *leaf.shape[1:]), leaf.dtype), tree
-    )
 
 
 def _loop(work: Work, state: Any, data: Any, first: Any, count: Any, hparams: Any) -> Any:
@@ -362,37 +345,51 @@ class _Pool:
     More are begun than there are workers, so that some wait; nobody waits for another's piece.
     """
 
+    engine: Engine
+    programs: Sequence[_Program]  #: of each worker
     runs: Runs
     collected: Any
     over: Over | None
     store: Store | None
-    tally: _Tally
-    programs: Mapping[jax.Device, _Program]
-    where: Sequence[jax.Device]
-    interrupted: threading.Event
-    keep: int
+    say: Progress
     log: Sequence[Logger]
 
     def __post_init__(self) -> None:
-        self.lock, self.failed = threading.Lock(), threading.Event()
+        store, self.began, self.done = self.store, time.perf_counter(), 0
+        self.earlier_s = store.seconds() if store else 0.0
+        self.lock, self.telling, self.failed = threading.Lock(), threading.Lock(), threading.Event()
         self.keys, self.judging = self.runs.keys, self.runs.judging
-        self.size, units = self.programs[self.where[0]].work.block, self.runs.units
-        store = self.store
-        kept = {row: (store and store.load(row)) or Kept() for row in range(len(units))}
+        self.size, units = self.programs[0].work.block, self.runs.units
+        kept = {row: (store and store.load(number)) or Kept()
+                for row, number in enumerate(self.runs.row.tolist())}  # fmt: skip
         self.curves = {row: run.metrics for row, run in kept.items() if run.over}
         differ = units.min() < units.max() or len({run.done for run in kept.values()}) > 1
         self.may_shrink = self.size > 1 and (self.over is not None or differ)
         if played := sum(run.done for run in kept.values()):
-            self.tally.add(played, len(self.curves))
+            self.tell(played)
         self.unbegun = _blocks({row: run for row, run in kept.items() if not run.over}, self.size)
-        self.waiting: dict[jax.Device, list[_Block]] = {place: [] for place in self.programs}
-        self.playing = dict.fromkeys(self.programs, 0)
+        self.waiting: list[_Block] = []
 
-    def serve(self, place: jax.Device) -> None:
+    def tell(self, units: int) -> None:
+        """So many units more are played."""
+        with self.telling:
+            self.done += units
+            self.say("running", self.done // len(self.runs.seed), len(self.curves))
+
+    def save(self, row: int, run: Kept) -> None:
+        """Writes a run's checkpoint, where any are."""
+        if self.store:
+            self.store.save(int(self.runs.row[row]), run, self.seconds())
+
+    def seconds(self) -> float:
+        """Since the work began, with those before a resume."""
+        return self.earlier_s + time.perf_counter() - self.began
+
+    def serve(self, program: _Program) -> None:
         """Plays until nothing is left for this worker; stopped, it saves what waits."""
         block = None
         try:
-            while block := self._next(place, block):
+            while block := self._next(program, block):
                 block.play()
         except BaseException:
             self.failed.set()
@@ -402,55 +399,47 @@ class _Pool:
                 block.save()
 
     def _stopped(self) -> bool:
-        return self.failed.is_set() or self.interrupted.is_set()
+        return self.failed.is_set() or self.engine.interrupted.is_set()
 
     def _any(self) -> _Block | None:
         with self.lock:
-            return next((blocks.pop() for blocks in self.waiting.values() if blocks), None)
+            return self.waiting.pop() if self.waiting else None
 
-    def _next(self, place: jax.Device, played: _Block | None) -> _Block | None:
+    def _next(self, program: _Program, played: _Block | None) -> _Block | None:
         """The next for a worker that gives back what it has played; None where there is none."""
         with self.lock:
-            waiting = self.waiting[place]
-            if played is not None:
-                self.playing[place] -= 1
-                if played.live:
-                    waiting.append(played)
-                    waiting[:] = self._packed(waiting, played.done)
+            if played is not None and played.live:
+                self.waiting.append(played)
+                self._pack(program, played.done)
             if self._stopped():
                 return None
-            if not waiting:
-                self._begin(place)
-            waiting = waiting or max(self.waiting.values(), key=len)  # another device's
-            if not waiting:
+            if all(block.program is not program for block in self.waiting):
+                self._begin(program)
+            if not self.waiting:
                 return None
-            block, program = min(waiting, key=lambda block: block.done), self.programs[place]
-            moved = block.program is not program
+            block = min(self.waiting, key=lambda block: (block.program is not program, block.done))
+            moved = block.program is not program  # from another device
             taken = _Block(self, program, block.kept(), block.saved_s) if moved else block
-            waiting.remove(block)
-            self.playing[place] += 1
+            self.waiting.remove(block)
             return taken
 
-    def _packed(self, waiting: list[_Block], done: int) -> list[_Block]:
-        """Of these those at unit ``done`` in as few as can be."""
-        same = [block for block in waiting if block.done == done]
+    def _pack(self, program: _Program, done: int) -> None:
+        """Of those that wait on its device those at unit ``done`` into as few as can be."""
+        same = [one for one in self.waiting if one.program is program and one.done == done]
         if -(-sum(len(block.live) for block in same) // self.size) == len(same):
-            return waiting
+            return
         kept = {row: run for block in same for row, run in block.kept().items()}
-        saved_s, program = min(block.saved_s for block in same), same[0].program
+        saved_s = min(block.saved_s for block in same)
         fewer = [_Block(self, program, runs, saved_s) for runs in _blocks(kept, self.size)]
-        return [block for block in waiting if block.done != done] + fewer
+        self.waiting = [block for block in self.waiting if block not in same] + fewer
 
-    def _begin(self, place: jax.Device) -> None:
-        """As many as memory affords; other devices get their share."""
-        program, workers = self.programs[place], self.where.count(place)
-        most = max(1, workers - self.playing[place])
-        if self.may_shrink:
-            more = BEGUN * workers - self.playing[place]
-            most = max(most, spare(used_by(program.calls["piece"]), more, place))
-        for _ in range(min(most, -(-len(self.unbegun) // len(self.programs)))):
+    def _begin(self, program: _Program) -> None:
+        """One, or where they can be packed what memory affords; other devices get their share."""
+        most = BEGUN * self.programs.count(program) if self.may_shrink else 1
+        fit = max(spare(used_by(program.calls["piece"]), most, program.place), 1)
+        for _ in range(min(fit, -(-len(self.unbegun) // len({*self.programs})))):
             runs = self.unbegun.pop(0)
-            self.waiting[place].append(_Block(self, program, runs, time.perf_counter()))
+            self.waiting.append(_Block(self, program, runs, time.perf_counter()))
 
 
 def _blocks(kept: Mapping[int, Kept], size: int) -> list[dict[int, Kept]]:
@@ -492,7 +481,7 @@ class _Block:
         """Writes a checkpoint of each of its runs."""
         if self.pool.store and self.done:
             for row, run in self.kept().items():
-                self.pool.store.save(row, run, self.pool.tally.seconds())
+                self.pool.save(row, run)
         self.saved_s = time.perf_counter()
 
     def _begin(self) -> None:
@@ -530,11 +519,9 @@ class _Block:
         played, ended = len(self.live), self._ended()
         for row in ended:
             curves = self._judged(row, self.live.pop(row))
-            if self.pool.store:
-                over = Kept(self.done, metrics=curves, over=True)
-                self.pool.store.save(row, over, self.pool.tally.seconds())
+            self.pool.save(row, Kept(self.done, metrics=curves, over=True))
             self.pool.curves[row] = curves
-        self.pool.tally.add(count * played, len(ended))
+        self.pool.tell(count * played)
         if self.live and self.pool.store and self.pool.store.due(self.saved_s):
             self.save()
 
@@ -545,7 +532,7 @@ class _Block:
         for row, lane in self.live.items():
             if self.pool.log and (whole or units[row] == self.done):
                 means = _means({name: each[lane, first:] for name, each in self.pieces.items()})
-                with self.pool.tally.lock:
+                with self.pool.telling:
                     self.pool.log[row].log(self.done, means)
 
     def _ended(self) -> list[int]:
@@ -572,7 +559,7 @@ class _Block:
             if first or not name.startswith(SHOWN)
         }
         calls, whole = self.program.calls, not broken.any()
-        kept = whole and self.pool.runs.seed[row] < self.pool.keep
+        kept = whole and self.pool.runs.seed[row] < self.pool.engine.keep
         asked = {"judge": True, "show": first and whole, "keep": kept}
         held, own = (self.state, self.data, self.hparams), self.pool.judging[row]
         for name in (name for name in HOOKS if asked[name] and name in calls):
@@ -610,25 +597,6 @@ def _said(values: Any) -> np.ndarray:
     values = np.asarray(values)
     debugging = jax.config.jax_debug_nans and values.dtype.kind == "f"  # type: ignore[attr-defined]
     return np.where(values == -np.inf, np.nan, values) if debugging else values
-
-
-class _Tally:
-    """How far all blocks together are, told under a lock."""
-
-    def __init__(self, say: Progress, runs: int, earlier_s: float):
-        self.say, self.runs, self.earlier = say, runs, earlier_s
-        self.lock, self.done, self.over = threading.Lock(), 0, 0
-        self.began = time.perf_counter()
-
-    def add(self, units: int, over: int) -> None:
-        """So many units more, and runs that are over."""
-        with self.lock:
-            self.done, self.over = self.done + units, self.over + over
-            self.say("running", self.done // self.runs, self.over)
-
-    def seconds(self) -> float:
-        """Since the work began, with those before a resume."""
-        return self.earlier + time.perf_counter() - self.began
 
 
 def joined(curves: Sequence[Curves]) -> Curves:

@@ -7,17 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxdyna.experiments.report import plots
+from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.sections import Rule, drawn, with_rule
 from jaxdyna.experiments.report.summaries import Curves
-from jaxdyna.experiments.report.tables import (
-    Results,
-    markdown_table,
-    median,
-    paragraphs,
-    per_seed,
-    with_interval,
-)
+from jaxdyna.experiments.report.tables import Results, markdown_table, paragraphs, per_seed
 from jaxdyna.statistics import SolveRule, mean_of_runs, summarise
 
 #: real steps before the first snapshot; each other one comes after twice as many as the last
@@ -96,7 +89,7 @@ def at_steps(record: Any) -> str:
         return ""
     steps = sorted(known, key=int)[-SHOWN:]
     rows = [
-        [name, *(with_interval(arm[step], 1) if step in arm else "-" for step in steps)]
+        [name, *(tables.with_interval(arm[step], 1) if step in arm else "-" for step in steps)]
         for name, arm in arms.items()]  # fmt: skip
     return paragraphs(
         "The mean return of the policy as it was after so many real steps, greedy, in new episodes "
@@ -123,7 +116,7 @@ def frozen(record: Any, rule: Rule) -> str:
     for name, arm in arms.items():
         first = arm["real_steps_to_solve"]
         most = np.percentile(per_seed(first), 95, method="inverted_cdf")
-        rows.append([name, f"{first['solved']}/{first['seeds']}", median(first),
+        rows.append([name, f"{first['solved']}/{first['seeds']}", tables.median(first),
                      f"{most:,.0f}" if np.isfinite(most) else "-"])  # fmt: skip
     shown = drawn(record, tuple(arms))
     latest = max(np.nansum(curves["real_length"], axis=1).max() for curves in shown.values())

@@ -12,6 +12,7 @@ import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from string import Template
 from typing import Any
 from urllib.parse import unquote
 
@@ -23,7 +24,6 @@ from PIL import Image
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.statistics import running_mean
 
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 #: of all curves and of all figures, as they stand in the page
 CURVES_BYTES, FIGURES_BYTES = 230_000, 200_000
 MANY = 1_000_000
@@ -44,9 +44,7 @@ RETURN = "real_return"
 
 
 def page(record: Any, text: str) -> str:
-    """The report ``text``, in Markdown, of a record in whose folder its figures lie. The curves
-    stand before the first figure.
-    """
+    """A record's report, of ``text`` in Markdown and its folder's figures, curves before these."""
     markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
     markdown.add_render_rule("image", _captioned)
     markdown.add_render_rule("table_open", lambda *_: '<div class="wide" tabindex="0"><table>\n')
@@ -56,18 +54,11 @@ def page(record: Any, text: str) -> str:
     _embed(parts[1], record.out)
     head, rest = (markdown.renderer.render(part, markdown.options, {}) for part in parts)
     told = json.dumps(curves(record)).replace("<", "\\u003c")
-    own = (Path(__file__).with_name(f"page.{kind}") for kind in ("css", "js"))
-    style, script = (path.read_text("utf-8") for path in own)
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
-        f"<title>{html.escape(text.splitlines()[0].strip('# ').replace('`', ''))}</title>\n"
-        f"<style>\n{style}</style>\n</head>\n<body>\n<main>\n"
-        f'{head}<section id="curves"><noscript>Curves are drawn by a script.</noscript></section>\n'
-        f"{rest}</main>\n"
-        f'<script type="application/json" id="told">{told}</script>\n'
-        f"<script>\n{script}</script>\n</body>\n</html>\n"
+    title = html.escape(text.splitlines()[0].strip("# ").replace("`", ""))
+    own = (Path(__file__).with_name(f"page.{kind}") for kind in ("html", "css", "js"))
+    whole, style, script = (path.read_text("utf-8") for path in own)
+    return Template(whole).substitute(
+        title=title, style=style, head=head, rest=rest, told=told, script=script
     )
 
 
@@ -90,9 +81,7 @@ def _embed(tokens: Sequence[Token], folder: Path) -> None:
 
 
 def _data(path: Path, width: int) -> str:
-    """An address that is the picture: of a film as it is, of a figure no wider than so many pixels;
-    empty where there is none.
-    """
+    """An address that is the picture: a film as it is, a figure at most so wide; empty if none."""
     if path.suffix not in (".gif", ".png") or not path.is_file():
         return ""
     kind, data = "gif", path.read_bytes()

@@ -1,8 +1,7 @@
 """Figures. Every one says in its axes and legend what is drawn, and how it was smoothed.
 
 All are as wide as a page shows them, so that a letter of 10 points is some 14 pixels high there.
-Colours are Okabe and Ito's (2008), which colour-blind people tell apart; lines differ in their
-dashes as well.
+Colours are Okabe and Ito's (2008), which colour-blind people tell apart; lines have dashes, too.
 """
 
 import re
@@ -190,8 +189,8 @@ def prediction_figure(
 
 def solve_bars(path: Path, solved_at: Mapping[str, np.ndarray], limit: int, axis: str) -> bool:
     """When many settings solved (``[seeds]``): every seed a dot, the mean a bar; on the right the
-    unsolved, infinity, each counted as ``limit``. Returns whether there is a figure: not where all
-    are the same.
+    unsolved, infinity, each counted as ``limit``. Returns whether there is one: not where all are
+    the same.
     """
     if not _vary(np.minimum(values, limit) for values in solved_at.values()):
         path.unlink(missing_ok=True)
@@ -220,17 +219,15 @@ def error_scatter(
     lines: Mapping[str, float], x: str, y: str, hollow: Sequence[str],
 ) -> None:  # fmt: skip
     """A model's error (``x``) against what it takes to solve with it (``y``), both ``[seeds]``: a
-    numbered dot a setting, some hollow, `shaded` both ways; lines at the means of those without a
-    model.
+    numbered dot a setting, some hollow, `shaded` both ways; lines at means of those without one.
     """
     figure, panel = subplots(figsize=(WIDTH, 5.0 + 0.11 * len(error)))
     shade = LOOKS["dyna"].color
     labels: dict[str, tuple[float, float]] = {}
     for number, (name, values) in enumerate(error.items(), start=1):
+        both = values, solved_at[name]
         means = values.mean(), solved_at[name].mean()
-        across, up = (
-            abs(np.array(around(one[:, None])) - one.mean()) for one in (values, solved_at[name])
-        )
+        across, up = (abs(np.array(around(one[:, None])) - one.mean()) for one in both)
         panel.errorbar(*means, up, across, color=shade, linestyle="", elinewidth=0.8, alpha=0.35)
         said = textwrap.fill(f"{number}  {name}", 46, subsequent_indent="      ")
         panel.plot(*means, "o", color=shade, markersize=6, label=said,

@@ -1,6 +1,4 @@
-"""The report of a study: every row beside the first, or from best to worst, in one of the arms'
-figures of solving.
-"""
+"""A study's report: rows beside the first, or from best to worst, in one figure of solving."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -18,28 +16,24 @@ def rows(record: Any, column: str = "episodes_to_solve") -> str:
     results, options = record.results, record.options
     if not results["arms"]:
         return ""
-    (_, *header), lines = tables.solve_table(results, column)
-    first, *_ = arms = list(results["arms"].values())
     figures = {name: figure_at(arm, column) for name, arm in results["arms"].items()}
-    for line, arm in zip(lines, arms, strict=True):
-        dreams = arm.get("first_dreams")
-        line += [
-            "-" if arm is first else _ratio(figure_at(arm, column), figure_at(first, column)),
-            f"{whole(dreams['fake_return'])} / {whole(dreams['real_return'])}" if dreams else "-",
-        ]
+    (name, first), *others = figures.items()
+    columns = tables.solving(results, column, "row")
+    columns["ratio to the first row"] = ["-", *(_ratio(figure, first) for _, figure in others)]
+    columns["fake / real return"] = [
+        f"{whole(dreams['fake_return'])} / {whole(dreams['real_return'])}" if dreams else "-"
+        for dreams in (arm.get("first_dreams") for arm in results["arms"].values())]  # fmt: skip
     solved = {name: per_seed(figure) for name, figure in figures.items()}
     there = plots.solve_bars(record.out / "variants.png", solved, limit(results["arms"], column),
                              tables.spoken(column))  # fmt: skip
     return paragraphs(
         f"{tables.runs(len(results['runs']['seeds']))} of each row. The first row is the "
         f"`{options.preset}` preset; every other one changes what it says. "
-        f"{counted(first, column)} At most {options.episodes} episodes; an unsolved run counts as "
-        "what it played. The seeds are the same in "
-        f"every row, so that the ratio to «{lines[0][0]}» is paired. "
+        f"{counted(results['arms'][name], column)} At most {options.episodes} episodes; an "
+        "unsolved run counts as what it played. The seeds are the same in "
+        f"every row, so that the ratio to «{name}» is paired. "
         f"Fake and real return: medians over the first {FIRST_DREAMS} episodes with dreams.",
-        tables.markdown_table(
-            ["row", *header, "ratio to the first row", "fake / real return"], lines
-        ),
+        tables.side_by_side(columns),
         "![every run of every row](variants.png)" if there else "",
     )
 
@@ -52,11 +46,9 @@ def ranking(record: Any, grid: Callable[[Any], Mapping[str, Any]]) -> str:
     results, options, column = record.results, record.options, "episodes_to_solve"
     if not results["arms"]:
         return ""
-    order = sorted(
-        results["arms"], key=lambda name: results["arms"][name][column]["restricted_mean"]
-    )
-    arms = {name: results["arms"][name] for name in order}
-    (_, *header), lines = tables.solve_table(results | {"arms": arms})
+    every = results["arms"].items()
+    arms = dict(sorted(every, key=lambda one: one[1][column]["restricted_mean"]))
+    (best, first), *_ = arms.items()
     solved = {name: per_seed(arm[column]) for name, arm in arms.items()}
     there = plots.solve_bars(record.out / "variants.png", solved, limit(arms, column),
                              "episodes to solve")  # fmt: skip
@@ -64,12 +56,12 @@ def ranking(record: Any, grid: Callable[[Any], Mapping[str, Any]]) -> str:
     seconds = sum(one.get("run_s", 0.0) for one in results["timing"]["arms"].values())
     return paragraphs(
         f"{tables.runs(len(results['runs']['seeds']))} of each of {len(arms)} rows, of a grid of "
-        f"{len(names)}, on base seed {options.seed}. {arms[order[0]]['solve_rule'].capitalize()}. "
+        f"{len(names)}, on base seed {options.seed}. {first['solve_rule'].capitalize()}. "
         f"At most {options.episodes} episodes; an unsolved run counts as so many. The rows are in "
         "the order of their restricted means. The best of many looks better than it is: these "
         "seeds choose a setting, others say what it is worth.",
-        _winner(arms[order[0]][column], order[0], names),
-        tables.markdown_table(["row", *header], lines),
+        _winner(first[column], best, names),
+        tables.side_by_side(tables.solving(results | {"arms": arms}, of="row")),
         "![every run of every row](variants.png)" if there else "",
         f"All rows together took {seconds / 3600:.2f} hours of {results['device']['cpu_cores']} "
         "cores.",

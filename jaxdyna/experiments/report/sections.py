@@ -73,17 +73,15 @@ def solving(
 ) -> str:  # fmt: skip
     """The table of arms and the ratios between them; the paper's own figures beside."""
     count, solves = len(record.results["runs"]["seeds"]), str(rule(record.options))
-    header, lines = tables.solve_table(record.results)
-    header.append("real steps before: median")
-    for line, arm in zip(lines, record.results["arms"].values(), strict=True):
-        line.append(tables.median(arm["real_steps_to_solve"]))
-    if set(paper) & set(record.results["arms"]):
-        header.insert(1, "paper")
-        for line, name in zip(lines, record.results["arms"], strict=True):
-            line.insert(1, f"{paper[name]:g}" if name in paper else "-")
+    arms, columns = record.results["arms"], tables.solving(record.results)
+    steps = [tables.median(arm["real_steps_to_solve"]) for arm in arms.values()]
+    columns["real steps before: median"] = steps
+    if set(paper) & set(arms):
+        own = [f"{paper[name]:g}" if name in paper else "-" for name in arms]
+        columns = {"arm": [*arms], "paper": own, **columns}
     return paragraphs(
         f"{runs(count)} of each arm. {solves.capitalize()}. {COUNTED} {said}".rstrip(),
-        markdown_table(header, lines), "" if count > FEW else NONE_OF_FEW, _never(record),
+        tables.side_by_side(columns), "" if count > FEW else NONE_OF_FEW, _never(record),
         _half(record.results),
         *comparisons(record.results, ratio), _windowless(record.results), _price(record.results),
         swept(record))  # fmt: skip

@@ -95,9 +95,7 @@ def baseline_of(arm: Results, baseline: str) -> str:
 
 
 def restricted(figure: Results) -> np.ndarray:
-    """A figure of each run ``[seeds]``, of unsolved ones what they played, in earlier records the
-    mean of that.
-    """
+    """Each run's figure ``[seeds]``, of unsolved ones what they played; in old records its mean."""
     if figure.get("restricted_per_seed"):
         return np.array(figure["restricted_per_seed"], float)
     values = per_seed(figure)
@@ -131,35 +129,29 @@ def comparison(
     return lines
 
 
-def break_even(
-    results: Results, arm: str = "dyna", baseline: str = "model_free"
-) -> tuple[float, float, float] | None:
-    """What a real step has to take for an arm's dreams to pay.
-
-    Args:
-        results: a record's, with the seconds of either arm.
-        arm: who dreams.
-        baseline: who does not.
+def break_even(results: Results) -> tuple[float, float, float] | None:
+    """What a real step has to take for dreams to pay.
 
     Returns:
-        Seconds of computing that a run of the arm takes beyond one of the baseline, the real steps
-        before the solving window that it saves (restricted means), and the one over the other in
-        milliseconds a real step. None where seconds are not known, where nothing is saved, or no
-        run of the arm has solved.
+        Seconds of computing that a run of ``dyna`` takes beyond one of ``model_free``, the real
+        steps before the solving window that it saves (restricted means), and the one over the other
+        in milliseconds a real step. None where seconds are not known, where nothing is saved, or no
+        run of ``dyna`` has solved.
 
     Seconds are a core's, or a device's, of whole runs, as long as they were played: where these go
     on after they have solved, dreams are charged for that as well.
     """
+    both = "dyna", "model_free"
     spent, arms, device = (results.get(name, {}) for name in ("timing", "arms", "device"))
-    seconds = [spent.get("arms", {}).get(name, {}).get("run_s") for name in (arm, baseline)]
-    if None in seconds or spent.get("shards", 1) > 1 or not {arm, baseline} <= arms.keys():
+    seconds = [spent.get("arms", {}).get(name, {}).get("run_s") for name in both]
+    if None in seconds or spent.get("shards", 1) > 1 or not {*both} <= arms.keys():
         return None
-    if not arms[arm]["real_steps_to_solve"].get("solved"):
+    if not arms["dyna"]["real_steps_to_solve"].get("solved"):
         return None
     runs, block = len(results["runs"]["seeds"]), results["runs"]["block"]
     workers = device["cpu_cores"] if device["platform"] == "cpu" else device["count"]
     each = [one * min(workers, -(-runs // block)) / runs for one in seconds]
-    steps = [restricted(arms[name]["real_steps_to_solve"]).mean() for name in (arm, baseline)]
+    steps = [restricted(arms[name]["real_steps_to_solve"]).mean() for name in both]
     extra, saved = each[0] - each[1], float(steps[1] - steps[0])
     return (extra, saved, 1000 * max(extra, 0.0) / saved) if saved > 0 else None
 

@@ -10,6 +10,7 @@ from jaxdyna.statistics import Summary
 
 Results = dict[str, Any]
 Table = tuple[list[str], list[list[str]]]
+Columns = dict[str, list[str]]  #: of a table, by their headings
 
 
 def number(value: float | None, digits: int = 0, sign: str = "") -> str:
@@ -36,9 +37,7 @@ def interval(ends: Sequence[float | None] | None, digits: int = 0) -> str:
 
 
 def with_interval(summary: Summary, digits: int = 0, sign: str = "") -> str:
-    """``mean (low to high)``, where it is known the restricted one; the mean alone where there is
-    no interval.
-    """
+    """``mean (low to high)``, if known the restricted one; the mean alone without an interval."""
     known = summary.get("restricted_mean") is not None
     mean, ends = (summary[f"restricted_{name}" if known else name] for name in ("mean", "ci95"))
     said, beside = number(mean, digits, sign), interval(ends, digits)
@@ -73,13 +72,16 @@ def label(name: str) -> str:
     return name if alike else re.sub(r"(?<=[@,])[\w.]+\.(\w+=)", r"\1", name)
 
 
-def solve_table(results: Results, figure: str = "episodes_to_solve") -> Table:
+def solving(results: Results, figure: str = "episodes_to_solve", of: str = "arm") -> Columns:
     """A row an arm, in one of the figures of solving, by its dotted path."""
-    said, budget = spoken(figure), results["config"]["episodes"]
-    header = ["arm", f"solved in {budget:,}", f"{said}: mean (95% interval)", "median (95%)"]
-    return header, [
-        [name, f"{found['solved']}/{found['seeds']}", with_interval(found), median(found)]
-        for name, arm in results["arms"].items() if (found := figure_at(arm, figure))]  # fmt: skip
+    every = {name: figure_at(arm, figure) for name, arm in results["arms"].items()}
+    every = {name: found for name, found in every.items() if found}
+    return {
+        of: [*every],
+        f"solved in {results['config']['episodes']:,}": [
+            f"{one['solved']}/{one['seeds']}" for one in every.values()],
+        f"{spoken(figure)}: mean (95% interval)": [*map(with_interval, every.values())],
+        "median (95%)": [*map(median, every.values())]}  # fmt: skip
 
 
 def spoken(figure: str) -> str:
@@ -92,6 +94,11 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def side_by_side(columns: Columns) -> str:
+    """A Markdown table of columns."""
+    return markdown_table([*columns], [*zip(*columns.values(), strict=True)])
 
 
 def paragraphs(*parts: str) -> str:
