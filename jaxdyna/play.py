@@ -153,7 +153,7 @@ def screen(shots: Mapping[str, Shot], actions: Mapping[str, Any], console: Conso
     own = " ".join(key for key in actions if not key.isdigit())
     dream = "d: dream from here  " if len(shots) > 1 else ""
     digits = [key for key in actions if key.isdigit()]
-    own += f" 0-{digits[-1]}" * bool(digits)
+    own += f" 0-{digits[-1]}" if digits else ""
     keys = f"{own}: act  n: new episode  {dream}q: leave"
     return Group(sides, Text(), Text(keys, no_wrap=True))
 

@@ -209,12 +209,17 @@ def test_keys():
     assert play.keys_of(Catch())["right"] == 2 and play.keys_of(Catch())["space"] == 1
     assert play.keys_of(Pong())["up"] == 2 and "left" not in play.keys_of(Pong())
     assert play.keys_of(Pendulum()) == {"left": -2, "space": 0, "right": 2}
+    scene, console = Scene(Pendulum(), Pendulum().default_params), Console(width=80, height=24)
+    scene.begin(0)
+    with console.capture() as shown:
+        console.print(play.screen(scene.shots(), play.keys_of(Pendulum()), console))
+    assert "left space right: act  n: new episode" in shown.get()
 
 
 @pytest.mark.parametrize(
     ("argv", "said"),
     [
-        (["mase"], "mase is no world"),
+        (["mase"], "mase is no world: did you mean maze"),
         (["maze", "--run", str(TODAY)], "is a run in CartPole: leave out maze"),
         (["--arm", "dyna"], "name a world, or the --run of one"),
         (["--run", str(TODAY), "--arm", "nobody"], "has no arm nobody"),

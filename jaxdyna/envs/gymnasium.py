@@ -315,8 +315,9 @@ def _check_render_mode(env: Environment, params: Any, render_mode: str | None) -
             )
         except AttributeError as error:
             raise CannotRenderError(
-                f"{type(env).__name__} cannot be rendered: use render_mode=None, or give it a "
-                f"method render(state, params) that returns a frame ({error})"
+                f"{type(getattr(env, 'env', env)).__name__} cannot be rendered: give it a method "
+                "render(state, params) that returns a frame, bytes [height, width, 3], or let "
+                f"render_mode be None ({error})"
             ) from error
     return render_mode
 

@@ -90,7 +90,10 @@ def _call(said: str) -> tuple[str, dict[str, Any]]:
             raise ValueError
         given = {str(one.arg): ast.literal_eval(one.value) for one in keywords}
     except (SyntaxError, ValueError):
-        raise ValueError(f"{said} is no world: give {FORMS}") from None
+        known = importlib.import_module("jaxdyna.envs").__all__
+        near = difflib.get_close_matches(said.lower(), map(str.lower, known), n=1)
+        hint = f"did you mean {near[0]}, or else" if near else "give"
+        raise ValueError(f"{said} is no world: {hint} {FORMS}") from None
     return name, given
 
 

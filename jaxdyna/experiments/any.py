@@ -15,7 +15,7 @@ import tyro
 from jaxdyna import agents, models, networks
 from jaxdyna.actions import Box, actions_of, number_of
 from jaxdyna.dyna import DynaConfig, DynaHParams
-from jaxdyna.envs import FrameStack
+from jaxdyna.envs import FrameStack, Hosted
 from jaxdyna.envs.named import FORMS, module_of, named
 from jaxdyna.experiments import engine
 from jaxdyna.experiments.cartpole.options import LEAN
@@ -25,6 +25,7 @@ from jaxdyna.experiments.report import sections as report
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.fields import changed, setting
 from jaxdyna.statistics import SolveRule
+from jaxdyna.testing import ContractError, check_environment
 
 PROG = "python -m jaxdyna.experiments.any"
 SMALL = 32  #: cells a side up to which a frame is taken for a board
@@ -41,7 +42,10 @@ class World:
 
 @dataclass(frozen=True, kw_only=True)
 class AnyOptions(engine.Options):
-    """A DQN, or REINFORCE, in any world, with and without fake episodes from a learned model."""
+    """A DQN, or REINFORCE, in any world, with and without fake episodes from a learned model.
+    --env says which world: gymnasium:ID, jaxdyna:NAME or MODULE:NAME; --agent dqn or reinforce
+    who acts, by default what suits its actions.
+    """
 
     decided: ClassVar = {
         "env": "the world", "learner": "--agent", "dyna.num_episodes": "--episodes",
@@ -141,7 +145,7 @@ def experiment(said: str, learner: str | None) -> engine.Experiment:
     return engine.Experiment(
         name="any-" + "".join(one if one.isalnum() else "-" for one in said).strip("-").lower(),
         title=said, presets={"lean": options}, arms=arms, rule=rule,
-        quick={"lean": {"seeds": 2, "episodes": 60}}, describe=(frozen.describe(rule),),
+        quick={"lean": {"seeds": 2, "episodes": 120}}, describe=(frozen.describe(rule),),
         sections=(
             report.solving(rule), report.learning_curves(rule), report.area,
             report.thresholds(rule), frozen.frozen(rule), frozen.at_steps, report.endings(rule),
@@ -156,7 +160,7 @@ def command_parts(flags: Sequence[str]) -> tuple[list[engine.Experiment], list[s
     helping = [word for word in flags if word in ("-h", "--help", "--help-all")]
     asked = [word for word in flags if word not in helping]
     said, rest = cli.read(World, asked, PROG, return_unknown_args=True)
-    earlier = ((storage.read_json(said.from_) or {}) if said.from_ else {}).get("config", {})
+    earlier = storage.results_at(said.from_).get("config", {}) if said.from_ else {}
     rest = [*rest, *helping, *(("--from", str(said.from_)) if said.from_ else ())]
     env, agent = said.env or earlier.get("env"), said.agent or earlier.get("learner")
     if env is None and helping:
@@ -169,10 +173,12 @@ def command_parts(flags: Sequence[str]) -> tuple[list[engine.Experiment], list[s
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Plays by the arguments, or the process's; see `jaxdyna.experiments.engine.main`."""
-    try:
-        experiments, flags, prog = command_parts(sys.argv[1:] if argv is None else argv)
-    except (ValueError, ImportError) as error:
-        cli.fail(str(error), PROG)
+    argv = sys.argv[1:] if argv is None else argv
+    with cli.refused(PROG, argv, (ValueError, ImportError, ContractError)):
+        experiments, flags, prog = command_parts(argv)
+        said = experiments[0].title
+        if module_of(said) != "jaxdyna.envs" and not isinstance(named(said), Hosted):
+            check_environment(named(said))  # a world of the user's own
     return engine.main(*experiments, argv=flags, prog=prog)
 
 

@@ -11,7 +11,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import tyro
 from rich.console import Console
-from rich.markdown import Markdown
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine import Curves, Experiment, Record, Results, cli, folders, storage
@@ -99,7 +98,7 @@ def main(call: Call, argv: Sequence[str]) -> int:
         storage.write_json(call.out / "results.json", results)
         text = write_report(report, Record(first.entry.options, results, curves, call.out))
     width = None if sys.stdout.isatty() else 100
-    Console(highlight=False, width=width).print(Markdown(text.partition("\n![")[0]))
+    Console(highlight=False, width=width).print(cli.spoken(text))
     print(f"Report: {call.out / 'report.md'}")
     return 0
 

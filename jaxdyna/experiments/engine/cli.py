@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar, get_args
 
 import tyro
+from rich.markdown import Markdown
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine.experiment import Experiment, Options
@@ -188,7 +189,9 @@ def _flag(leaf: Leaf, width: int, words: Sequence[str], none: str) -> list[str]:
     value = "" if value is False or value == "" else f"  [{value}]"
     choice = f" {{{','.join(words)}}}" if words else ""
     head = f"--{leaf.path.rstrip('_').replace('_', '-')}{choice}{value}"
-    indented = partial(textwrap.wrap, width=width, subsequent_indent=" " * 6)
+    indented = partial(
+        textwrap.wrap, width=width, subsequent_indent=" " * 6, break_long_words=False
+    )
     return [*indented(head, initial_indent="  ", break_on_hyphens=False),
             *indented(leaf.help, initial_indent=" " * 6)]  # fmt: skip
 
@@ -199,6 +202,11 @@ def spell_out() -> None:
     """
     if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.encoding.startswith("utf"):
         sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def spoken(report: str) -> Markdown:
+    """A report up to its first figure, for a console; names of what was swept may be broken."""
+    return Markdown(re.sub(r"(?<=\w)@(?=\w)", "@ ", report.partition("\n![")[0]))
 
 
 def command(kind: type[O], prog: str, flags: str, more: str = "", bare: bool = False) -> Any:

@@ -21,7 +21,6 @@ from typing import Any
 import jax
 import numpy as np
 from rich.console import Console
-from rich.markdown import Markdown
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine import cli, folders, programs, progress, storage, trained, work
@@ -126,9 +125,9 @@ def _earlier(call: cli.Call, name: str) -> Results:
     """
     if call.from_ is None:
         return {}
-    earlier = storage.read_json(call.from_)
-    if earlier is None or "config" not in earlier or "part" not in earlier:
-        raise ValueError(f"--from {call.from_}: there is no result of today's format")
+    earlier = storage.results_at(call.from_)
+    if "config" not in earlier or "part" not in earlier:
+        raise ValueError(f"--from {call.from_}: it is no result of today's format")
     if earlier["experiment"] != name:
         raise ValueError(f"--from {call.from_} is a result of {earlier['experiment']}: play it by "
                          "that command")  # fmt: skip
@@ -434,7 +433,7 @@ class Session:
                 self.console.print(f"There is no film: {error}", markup=False)
         record = Record(self.options, self.results, self.curves, self.out)
         text = write_report(self.experiment, record)
-        self.console.print(Markdown(text.partition("\n![")[0]))
+        self.console.print(cli.spoken(text))
         seconds = f"{self.results['timing']['total_s']:.0f} s in all"
         self.console.print(f"Report: {self.out / 'report.md'}, report.html ({seconds})")
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxdyna.experiments.report import plots, tables
-from jaxdyna.experiments.report.sections import Rule, drawn, with_rule
+from jaxdyna.experiments.report.sections import Rule, drawn, told
 from jaxdyna.experiments.report.summaries import Curves
 from jaxdyna.experiments.report.tables import Results, markdown_table, paragraphs, per_seed
 from jaxdyna.statistics import SolveRule, mean_of_runs, summarise
@@ -104,13 +104,14 @@ def _worth(returns: np.ndarray) -> Results:
     return said if np.isfinite(returns).all() else said | {"mean": None, "ci95": None}
 
 
-@with_rule
+@told
 def frozen(record: Any, rule: Rule) -> str:
     """Real steps until a policy as it stands earns what the rule asks for, and the share of runs
-    whose policy does, against real steps; empty where no policy was evaluated.
+    whose policy does, against real steps; empty without a rule, or where no policy was evaluated.
     """
     arms = {name: arm["frozen"] for name, arm in record.results["arms"].items() if "frozen" in arm}
-    if not arms:
+    solves = rule(record.options)
+    if not arms or solves is None:
         return ""
     dyna, rows = record.options.dyna, []
     for name, arm in arms.items():
@@ -120,11 +121,14 @@ def frozen(record: Any, rule: Rule) -> str:
                      f"{most:,.0f}" if np.isfinite(most) else "-"])  # fmt: skip
     shown = drawn(record, tuple(arms))
     latest = max(np.nansum(curves["real_length"], axis=1).max() for curves in shown.values())
-    at, solves = np.geomspace(FIRST / 2, max(latest, FIRST), POINTS), rule(record.options)
+    early = min(np.nansum(one["real_length"][:, : dyna.eval_every], axis=1).min()
+                for one in shown.values()) / 2  # fmt: skip
+    at = np.geomspace(max(FIRST / 2, early), max(latest, FIRST), POINTS)
+    asked = f"{next(iter(arms.values()))['threshold']:.4g}"
     lines = {name: worth(curves, at) >= threshold(curves, solves)
              for name, curves in shown.items()}  # fmt: skip
-    there = plots.shares(record.out / "frozen.png", lines, "real steps",
-                         "share of runs whose policy earns it", at=at, xscale="log")  # fmt: skip
+    axes = "real steps", f"share of runs whose policy earns {asked}"
+    there = plots.shares(record.out / "frozen.png", lines, *axes, at=at, xscale="log")
     often = "each" if dyna.eval_every == 1 else f"every {dyna.eval_every}"
     episodes = "real episode" if dyna.eval_every == 1 else "real episodes"
     return paragraphs(
@@ -132,7 +136,7 @@ def frozen(record: Any, rule: Rule) -> str:
         f"After {often} {episodes} the policy as it then is plays {dyna.eval_episodes} new "
         "episodes, greedy; nothing is learned of them, and they do not count as real steps. No "
         "window stands in these figures: real steps until a policy first earns "
-        f"{next(iter(arms.values()))['threshold']:.4g} on average, and the share of the runs whose "
+        f"{asked} on average, and the share of the runs whose "
         "newest policy does, after so many steps.",
         markdown_table(["arm", "runs that came to it", "real steps: median (95%)",
                         "95% of the runs within"], rows),

@@ -144,14 +144,15 @@ def bands(
 
 def shares(path: Path, hits: Mapping[str, np.ndarray], x: str, y: str, **more: Any) -> bool:
     """`bands` of shares of the seeds, by name bool ``[seeds, n]``; shaded from the first seed's hit
-    on: before, all are the same.
+    on: before, all are the same; and where there are more than a few.
     """
 
     def interval(hits: np.ndarray) -> np.ndarray:
-        return np.where(hits.any(0), share_interval(hits), np.nan)
+        return np.where(hits.any(0) & (len(hits) > FEW), share_interval(hits), np.nan)
 
     lines = {name: values.astype(float) for name, values in hits.items()}
-    y = f"{y},\n95% interval (Clopper and Pearson)"
+    if max(map(len, lines.values()), default=0) > FEW:
+        y = f"{y},\n95% interval (Clopper and Pearson)"
     return bands(path, {"": lines}, x, y, interval=interval, ylim=(-0.02, 1.02), **more)
 
 

@@ -48,12 +48,16 @@ def told(section: Callable[Concatenate[Any, P], str]) -> Callable[P, Section]:
 
 
 def with_rule(section: Callable[Concatenate[Any, Rule, P], str]) -> Callable[..., Section]:
-    """A section of a record and a rule, likewise; empty where its settings have no rule."""
+    """A section of a record and a rule, likewise; empty where its settings have no rule, or runs
+    are shorter than its window.
+    """
 
     @told
     @wraps(section)
     def tell(record: Any, rule: Rule, *args: P.args, **more: P.kwargs) -> str:
-        return section(record, rule, *args, **more) if rule(record.options) else ""
+        solves = rule(record.options)
+        there = solves is not None and solves.window <= record.options.episodes
+        return section(record, rule, *args, **more) if there else ""
 
     return tell
 
@@ -66,13 +70,22 @@ def grouped(record: Any, by: str = "arm", of: str = "setting") -> dict[str, dict
     return names
 
 
-@with_rule
+@told
 def solving(
     record: Any, rule: Rule, paper: Mapping[str, float] = {}, ratio: Mapping[str, float] = {},
     said: str = "",
 ) -> str:  # fmt: skip
-    """The table of arms and the ratios between them; the paper's own figures beside."""
-    count, solves = len(record.results["runs"]["seeds"]), str(rule(record.options))
+    """The table of arms and the ratios between them, where there is a rule; the paper's own figures
+    beside.
+    """
+    count, solves = len(record.results["runs"]["seeds"]), rule(record.options)
+    if solves is None:
+        return ""
+    if solves.window > record.options.episodes:
+        return (
+            f"**No run can have solved**: the rule asks for {solves.window} episodes, and runs are "
+            f"{record.options.episodes} long. Give more --episodes to compare arms by it."
+        )
     arms, columns = record.results["arms"], tables.solving(record.results)
     steps = [tables.median(arm["real_steps_to_solve"]) for arm in arms.values()]
     columns["real steps before: median"] = steps
@@ -80,7 +93,7 @@ def solving(
         own = [f"{paper[name]:g}" if name in paper else "-" for name in arms]
         columns = {"arm": [*arms], "paper": own, **columns}
     return paragraphs(
-        f"{runs(count)} of each arm. {solves.capitalize()}. {COUNTED} {said}".rstrip(),
+        f"{runs(count)} of each arm. {str(solves).capitalize()}. {COUNTED} {said}".rstrip(),
         tables.side_by_side(columns), "" if count > FEW else NONE_OF_FEW, _never(record),
         _half(record.results),
         *comparisons(record.results, ratio), _windowless(record.results), _price(record.results),
