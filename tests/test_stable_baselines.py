@@ -105,7 +105,7 @@ def example(monkeypatch):
     spec.loader.exec_module(module)
     monkeypatch.setattr(module, "EPISODES", 20)
     yield module
-    gymnasium.registry.pop("Dream-v0", None)
+    gymnasium.registry.pop("Dream0-v0", None)
 
 
 def test_the_maze_is_judged_by_its_optimum(example):
@@ -114,7 +114,7 @@ def test_the_maze_is_judged_by_its_optimum(example):
     assert told["learned"] < told["optimum"] and 0 < told["straight on"] <= told["optimum"] <= 23
 
 
-def test_dreams_are_learned_in_and_the_truth_judges(example, monkeypatch):
+def test_dreams_are_learned_in_and_the_truth_judges(example):
     told = example.dream(steps=45, seed=0, run=KEPT)
     always_left = 9.3  # steps that the pole stands
     assert told["untrained"] == pytest.approx(always_left, abs=0.5)

@@ -83,11 +83,12 @@ def dream(steps: int, seed: int, run: Path) -> dict[str, float]:
     after as many there; and the real steps from which the dream was learned.
     """
     left = jaxdyna.load(run)
-    left.register("Dream-v0", "dyna", seed)
+    left.register(f"Dream{seed}-v0", "dyna", seed)
     real_steps = left.curves["dyna"]["real_length"][left.results["runs"]["seeds"].index(seed)]
     true = gymnasium.make("CartPole-v1", max_episode_steps=200)
     dreamer, other = (
-        PPO("MlpPolicy", env, seed=seed, device="cpu") for env in (gymnasium.make("Dream-v0"), true)
+        PPO("MlpPolicy", env, seed=seed, device="cpu")
+        for env in (gymnasium.make(f"Dream{seed}-v0"), true)
     )
 
     def earned(model: PPO) -> float:
