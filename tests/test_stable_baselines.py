@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
+from typing import ClassVar
 
 import gymnasium
 import numpy as np
@@ -58,15 +59,17 @@ class Imitation:
     number of states at a time its action is number 0.
     """
 
+    learned_in: ClassVar[list[str]] = []
+
     def __init__(self, policy, env, **settings):
         assert policy == "MlpPolicy" and settings["device"] == "cpu"
-        self.env, self.seed, self.seen = env, settings["seed"], []
+        self.env, self.seed = env, settings["seed"]
 
     def learn(self, steps):
+        self.learned_in.append(self.env.spec.id)
         self.env.reset(seed=self.seed)
         for _ in range(steps):
-            obs, _, terminated, truncated, _ = self.env.step(self.env.action_space.sample())
-            self.seen.append(obs)
+            _, _, terminated, truncated, _ = self.env.step(self.env.action_space.sample())
             if terminated or truncated:
                 self.env.reset()
         return self
@@ -105,6 +108,7 @@ def example(monkeypatch):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     monkeypatch.setattr(module, "EPISODES", 20)
+    monkeypatch.setattr(Imitation, "learned_in", [])
     yield module
     gymnasium.registry.pop("Dream0-v0", None)
 
@@ -113,12 +117,14 @@ def test_the_maze_is_judged_by_its_optimum(example, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["", "maze", "--steps", "65", "--seed", "3"])
     example.main()
     told = numbers(capsys.readouterr().out)
+    assert Imitation.learned_in == ["jaxdyna/Maze-v0"]
     assert told["untrained"] == told["learned"] <= 0  # it stays at the left edge
     assert told["learned"] < told["optimum"] and 0 < told["straight on"] <= told["optimum"] <= 23
 
 
 def test_dreams_are_learned_in_and_the_truth_judges(example):
     told = example.dream(steps=45, seed=0, run=KEPT)
+    assert Imitation.learned_in == ["Dream0-v0", "CartPole-v1"]
     always_left = 9.3  # steps that the pole stands
     assert told["untrained"] == pytest.approx(always_left, abs=0.5)
     assert told["learned in the dream"] == told["learned in CartPole"] == told["untrained"]
