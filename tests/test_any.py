@@ -40,6 +40,11 @@ class Unbounded(Catch):
 
 class Endless(Catch):
     default_params = ()
+
+class Both(Catch):
+    def step(self, *args):
+        obs, state, reward, terminated, _, info = super().step(*args)
+        return obs, state, reward, terminated, terminated, info
 """
 
 
@@ -67,7 +72,7 @@ def test_worlds_have_names(module):
     ("jaxdyna:Maze(side=3)", "side"),
     ("jaxdyna:Maze(size=0)", "size"),
     ("jaxdyna:Maze(", "is no world: give gymnasium:ID"),
-    ("CartPole-v1", "is no world: give gymnasium:ID"),
+    ("CartPole-v1", "is no world: did you mean gymnasium:CartPole-v1? Give gymnasium:ID"),
     ("no_such_module:Maze", "there is no module no_such_module"),
     ("gymnasium:CartPol-v1", "Did you mean: `CartPole`"),
     ("worlds_of_mine:Unbounded", "actions are Box(-inf, inf, (1,), float32): give Discrete ones"),
@@ -77,6 +82,7 @@ def test_worlds_have_names(module):
     ("jaxdyna:Maze(6)", "is no world: give gymnasium:ID"),
     ("os:system(command='exit 1')", "system makes no environment"),
     ("worlds_of_mine:Endless", "default_params have no max_steps"),
+    ("worlds_of_mine:Both", "terminated and truncated are true at once"),
 ])  # fmt: skip
 def test_bad_worlds_are_one_line(module, said, answer, capsys):
     with pytest.raises(SystemExit, match="2"):
@@ -89,7 +95,8 @@ def test_help_with_and_without_a_world(capsys):
     for flags in (["--help"], ["--help", "--env", "gymnasium:Acrobot-v1"]):
         with pytest.raises(SystemExit, match="0"):
             any_world.main(flags)
-        assert "--hparams.agent.learning-rate" in capsys.readouterr().out
+        said = capsys.readouterr().out
+        assert "--hparams.agent.learning-rate" in said and "--agent dqn or reinforce" in said
     with pytest.raises(SystemExit, match="2"):
         any_world.main([])
     assert "--env is missing" in capsys.readouterr().err
@@ -110,6 +117,15 @@ def test_spaces_choose(said, learner, agent, model, oracle):
     assert ("oracle" in made) == oracle
     assert ("more_updates" in made and "max_updates" in made) == (learner == "dqn")
     assert made["dyna"]().work == any_world.arms(options.resolved())["dyna"]().work
+
+
+@pytest.mark.parametrize("flags", [("--from", "nowhere"), ("--from", ".")])
+def test_settings_of_no_run(flags, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match="2"):
+        any_world.main([*flags, "--env", "jaxdyna:CartPole"])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "name a results.json, or a folder that has one" in line
 
 
 def test_frames_have_no_reinforce(capsys):
@@ -150,7 +166,7 @@ def test_without_a_rule_a_report_has_what_needs_none(module, tmp_path, capsys):
     assert experiment.title == options.env and len(every) == 6
     before = np.load(tmp_path / "out" / "curves.npz")["dyna/real_return"]
     assert any_world.main([*argv, "--resume"]) == 0
-    assert any_world.main(["--from", "out/results.json", "--out", "again"]) == 0
+    assert any_world.main(["--from", "out", "--out", "again"]) == 0
     after = np.load(tmp_path / "again" / "curves.npz")["dyna/real_return"]
     np.testing.assert_array_equal(before, after)
     plan = record.Plan("mine", "?", f"any --env '{module}:Small(rows=4)' --seeds 3")

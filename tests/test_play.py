@@ -219,7 +219,7 @@ def test_keys():
 @pytest.mark.parametrize(
     ("argv", "said"),
     [
-        (["mase"], "mase is no world: did you mean maze"),
+        (["mase"], "mase is no world: did you mean jaxdyna:Maze?"),
         (["maze", "--run", str(TODAY)], "is a run in CartPole: leave out maze"),
         (["--arm", "dyna"], "name a world, or the --run of one"),
         (["--run", str(TODAY), "--arm", "nobody"], "has no arm nobody"),

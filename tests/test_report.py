@@ -1,11 +1,14 @@
 """What reports say beside their tables."""
 
+import io
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from jaxdyna.experiments.cartpole.options import TUNED
+from jaxdyna.experiments.engine import cli
 from jaxdyna.experiments.engine.experiment import Experiment
 from jaxdyna.experiments.engine.record import write_report
 from jaxdyna.experiments.report import frozen, plots
@@ -46,6 +49,26 @@ def test_a_threshold_that_no_episode_reached_is_told(tmp_path):
     never = report.solving(rule)(record(tmp_path, [[0, 0.25, 0.5]] * 2))
     assert "**No episode of any run reached the threshold**; the highest return was 0.5" in never
     assert "No episode" not in report.solving(rule)(record(tmp_path, [[0, 0, 1]] * 2))
+
+
+def test_runs_too_short_to_solve_are_not_compared(tmp_path):
+    """A window of more episodes than runs have; without a rule there is nothing to say."""
+    made = record(tmp_path, [[0, 1, 1]] * 2)
+    sections = report.solving, report.thresholds, report.solved_share, report.endings
+    short = [section(lambda options: SolveRule(10, 1.0))(made) for section in sections]
+    assert short[0].startswith(
+        "**No run can have solved**: the rule asks for 10 episodes, and runs"
+    )
+    assert short[1:] == ["", "", ""]
+    assert [section(lambda options: None)(made) for section in sections] == [""] * 4
+
+
+def test_on_a_console_names_of_what_was_swept_are_broken_not_cut():
+    table = f"| arm |\n| --- |\n| dyna@{RATE}=0.0123 |\n\n![figure](a.png)\n"
+    console = Console(width=44, file=io.StringIO())
+    console.print(cli.spoken(table))
+    said = console.file.getvalue()
+    assert f"{RATE}=0.0123" in said and "figure" not in said and "…" not in said
 
 
 def test_what_held_is_told_where_runs_play_on(tmp_path):

@@ -91,8 +91,9 @@ def _call(said: str) -> tuple[str, dict[str, Any]]:
         given = {str(one.arg): ast.literal_eval(one.value) for one in keywords}
     except (SyntaxError, ValueError):
         known = importlib.import_module("jaxdyna.envs").__all__
-        near = difflib.get_close_matches(said.lower(), map(str.lower, known), n=1)
-        hint = f"did you mean {near[0]}, or else" if near else "give"
+        near = difflib.get_close_matches(said.capitalize(), known, n=1)
+        meant = f"gymnasium:{said}" if "-v" in said else f"jaxdyna:{near[0]}" if near else ""
+        hint = f"did you mean {meant}? Give" if meant and ":" not in said else "give"
         raise ValueError(f"{said} is no world: {hint} {FORMS}") from None
     return name, given
 
