@@ -122,7 +122,8 @@ def chosen(call: Call) -> dict[str, Side]:
     for side in sides:
         for what, paths in same.items():
             if said := side.differs(first, *paths):
-                raise ValueError(f"{side.folder} has another {what} than {first.folder}: {said}")
+                raise ValueError(f"{side.folder} has another {what} than {first.folder}: {said}; "
+                                 "play one of them again with the other's")  # fmt: skip
         if not figure_at(side.arm, call.measure):
             raise ValueError(f"--measure {call.measure}: {side.folder} has evaluated no policies")
     return {

@@ -130,6 +130,8 @@ class Loaded:
 
     def _run(self, arm: str, seed: int | None) -> tuple[Keeper, Mapping[str, Any], Any, Any]:
         """What opens a run, what is kept of it, the key of its judging, and its hparams."""
+        if arm in self.results.get("unfinished", ()):
+            raise ValueError(f"{arm} in {self.folder} is not finished: --resume goes on with it")
         if arm not in self.curves:
             raise ValueError(f"{self.folder} has no arm {arm}: there are {', '.join(self.curves)}")
         made, seeds = self.entries[arm].make(), self.kept.get(arm, [])
