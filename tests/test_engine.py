@@ -577,9 +577,10 @@ def test_dyna_is_the_same_where_runs_leave():
 COMMAND = """
 import sys
 from jaxdyna.experiments.engine import checkpoint, main
-from jaxdyna.experiments.{world} import PARTS
+from jaxdyna.experiments.engine.record import command_of
 checkpoint.CHECKPOINT_SECONDS = 0.1
-sys.exit(main(*PARTS, prog="python -m jaxdyna.experiments.{world}"))
+parts, flags, prog = command_of("jaxdyna.experiments.{world}", *sys.argv[1:])
+sys.exit(main(*parts, argv=flags, prog=prog))
 """
 KILLED = {
     "catch": [
@@ -591,8 +592,13 @@ KILLED = {
     ],
     "maze": respelled(["maze", *tiny.MAZE, "--episodes", "300"]),
     "frames": respelled(["maze", *tiny.MAZE_MODEL, "--lean.updates", "400"]),
+    "gymnasium": [
+        "any", "--env", "gymnasium:CartPole-v1", "--seeds", "3", "--episodes", "300",
+        "--hparams.env.max-steps", "30", "--dyna.model-updates", "3", "--agent.batch", "8",
+        "--agent.fake-updates", "2", "--dyna.dream-episodes", "4",
+    ],
 }  # fmt: skip
-ONE = {"catch": "dyna", "maze": "dyna", "frames": "lean"}
+ONE = {"catch": "dyna", "maze": "dyna", "frames": "lean", "gymnasium": "dyna"}
 
 
 @pytest.mark.slow
