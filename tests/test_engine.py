@@ -21,7 +21,7 @@ from renamed import respelled
 
 from jaxdyna.dyna.conditional import unknown
 from jaxdyna.experiments.engine import Arm, Engine, InputError, Work, checkpoint, runs_of, work
-from jaxdyna.experiments.engine.checkpoint import Store
+from jaxdyna.experiments.engine.checkpoint import Kept, Store
 from jaxdyna.experiments.engine.work import Interrupted, joined
 from jaxdyna.experiments.study.arms import Hooks, dyna_arm
 from jaxdyna.trees import where_needed
@@ -555,6 +555,14 @@ def test_where_a_block_fails_those_that_wait_are_saved(leaving, workers, tmp_pat
     ours, rest = pieces(LEAVING_ARMS, MANY, programs=programs, store=store)
     assert_same_runs(ours, alone)
     assert rest < count
+
+
+def test_who_plays_some_of_the_runs_counts_the_seconds_of_these(tmp_path):
+    """Other processes' checkpoints lie beside them."""
+    store = Store(tmp_path)
+    for number, seconds in ((0, 5.0), (3, 50.0)):
+        store.save(number, Kept(1, {"state": np.zeros(1)}, {"loss": np.zeros(1)}), seconds)
+    assert store.seconds() == 50 and store.seconds([0, 1]) == 5 and store.seconds([1]) == 0
 
 
 def test_dyna_is_the_same_where_runs_leave():

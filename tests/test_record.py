@@ -44,8 +44,11 @@ def test_a_record_whose_world_is_not_installed_is_left_out(tmp_path, capsys):
         (tmp_path / table).write_text((BOOK / table).read_text())
     with (tmp_path / "records.toml").open("a") as file:
         file.write('[far]\nasks = "?"\ncommand = "any --env gymnasium:Far-v0"\nneeds = "farther"\n')
-    assert record.main(["far", "--redraw", "--book", str(tmp_path)]) == 0
-    assert capsys.readouterr().out == "far is left out: farther is not installed\n"
+    assert record.main(["--list", "--book", str(tmp_path)]) == 0
+    assert "far is left out: farther is not installed\n" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="2"):
+        record.main(["far", "--book", str(tmp_path)])
+    assert "far needs farther: install it" in capsys.readouterr().err
 
 
 def test_every_folder_is_a_record_and_every_record_a_folder_or_planned():

@@ -91,7 +91,7 @@ class Plan:
         return self.shard(1, 1)
 
     def shard(self, number: int, of: int) -> Session:
-        """What the command of a part of it comes to; one that is none today ends the process."""
+        """What the command of a part of it comes to; `ValueError` where it is none today."""
         module, *flags = shlex.split(self.command)
         try:
             parts, flags, prog = command_of(f"{PACKAGE}.{module}", *flags)
@@ -100,7 +100,10 @@ class Plan:
         if not parts:
             said = f"python -m {PACKAGE}.{module}"
             raise ValueError(f"{self.name}: there is no such experiment: {said}")
-        return prepared(parts, [*flags, "--shard", f"{number}/{of}"], prog)
+        try:
+            return prepared(parts, [*flags, "--shard", f"{number}/{of}"], prog)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
 
 
 class State:
@@ -163,6 +166,8 @@ def main(call: Call, argv: Sequence[str]) -> int:
         raise ValueError(f"{unknown[0]}: no such record; there are {', '.join(plans)}")
     asked = {name: plan for name, plan in plans.items() if name in call.names} or plans
     for name in [name for name, plan in asked.items() if not plan.playable]:
+        if name in call.names:
+            raise ValueError(f"{name} needs {plans[name].needs}: install it")
         print(f"{name} is left out: {plans[name].needs} is not installed")
         asked = {other: plan for other, plan in asked.items() if other != name}
     if call.primary:

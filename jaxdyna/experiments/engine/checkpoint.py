@@ -94,10 +94,12 @@ class Store:
                 self.warn(f"{error}: going on from an earlier state")
         return None
 
-    def seconds(self) -> float:
-        """Seconds played up to the last checkpoint of any of them."""
-        found = [0.0]
-        for path in self.folder.glob("run[0-9]*.npz"):
+    def seconds(self, numbers: Sequence[int] | None = None) -> float:
+        """Seconds played up to the last checkpoint of any of them, or of those of these numbers."""
+        found, paths = [0.0], self.folder.glob("run[0-9]*.npz")
+        if numbers is not None:
+            paths = (self._paths(number)[0] for number in numbers)
+        for path in paths:
             with suppress(ValueError):
                 found.append(json.loads(str(read_arrays(path, [ABOUT])[ABOUT]))["seconds"])
         return max(found)

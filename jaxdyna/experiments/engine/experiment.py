@@ -74,7 +74,7 @@ class Experiment:
     arms: Callable[[Any], Mapping[str, Callable[[], Arm]]]
     #: by preset, what ``--quick`` changes
     quick: Mapping[str, Overrides] = field(default_factory=dict)
-    #: when a run counts as solved; None where nothing is
+    #: from options to when a run counts as solved, or to None where none does
     rule: Callable[[Any], SolveRule | None] = lambda options: None
     #: ``(options, curves) -> entries`` of an arm in ``results.json``
     describe: Sequence[Callable[[Any, Curves], Results]] = ()

@@ -26,6 +26,7 @@ import jaxdyna
 Curves = Mapping[str, np.ndarray]
 Results = dict[str, Any]
 PACKAGES = ("jax", "jaxlib", "flax", "optax", "numpy", "gymnasium")
+WORLDS = ("gxm", "gymnax", "craftax")  #: that have worlds, where these are played
 CHECKSUM = "checksum"
 #: what reading a file of arrays can end in
 DAMAGED = (
@@ -195,7 +196,8 @@ def made_with(modules: Iterable[str]) -> Results:
     Args:
         modules: those that define the experiment.
     """
-    packages = {name: version(name) for name in PACKAGES}
+    played = [name for name in WORLDS if name in sys.modules]
+    packages = {name: version(name) for name in (*PACKAGES, *played)}
     python = {"jaxdyna": jaxdyna.__version__, "python": platform.python_version()}
     device = {"platform": jax.default_backend(), "x64": jax.config.jax_enable_x64}  # type: ignore[attr-defined]
     if device["platform"] == "cpu":

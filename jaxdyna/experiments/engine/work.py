@@ -43,7 +43,7 @@ JUDGING = 2**32 - 1  #: folded into the base seed's key: the runs' own keys are 
 
 #: of runs that are over; which of them it is, is folded into the key of a run's judging
 HOOKS = ("judge", "show", "keep")
-BEGUN = 8  #: blocks a worker that are begun at most, so that their runs can be packed together
+BEGUN = 8  #: blocks a worker that are begun at a time, so that their runs can be packed together
 
 
 class Work(NamedTuple):
@@ -356,7 +356,7 @@ class _Pool:
 
     def __post_init__(self) -> None:
         store, self.began, self.done = self.store, time.perf_counter(), 0
-        self.earlier_s = store.seconds() if store else 0.0
+        self.earlier_s = store.seconds(self.runs.row.tolist()) if store else 0.0
         self.lock, self.telling, self.failed = threading.Lock(), threading.Lock(), threading.Event()
         self.keys, self.judging = self.runs.keys, self.runs.judging
         self.size, units = self.programs[0].work.block, self.runs.units
@@ -435,8 +435,10 @@ class _Pool:
 
     def _begin(self, program: _Program) -> None:
         """One, or where they can be packed what memory affords; other devices get their share."""
-        most = BEGUN * self.programs.count(program) if self.may_shrink else 1
-        fit = max(spare(used_by(program.calls["piece"]), most, program.place), 1)
+        fit = 1
+        if self.may_shrink:
+            most = BEGUN * self.programs.count(program)
+            fit = max(spare(used_by(program.calls["piece"]), most, program.place), 1)
         for _ in range(min(fit, -(-len(self.unbegun) // len({*self.programs})))):
             runs = self.unbegun.pop(0)
             self.waiting.append(_Block(self, program, runs, time.perf_counter()))
