@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from jaxdyna.experiments.report import tables
 from jaxdyna.statistics import FEW, carried, mean_interval, running_mean, share_interval
@@ -134,6 +135,11 @@ def bands(
             band(panel, shown, own[name], tables.label(name), at, interval, marker=marker,
                  markersize=5, markevery=(dots or {}).get(name))  # fmt: skip
         panel.set(**axes)
+        if panel.get_xscale() == "log":
+            few = np.ptp(np.log10(at[[0, -1]])) < 2 if at is not None else False
+            panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,)))
+            panel.xaxis.set_major_formatter("{x:,.0f}")
+            panel.xaxis.set_minor_formatter(NullFormatter())
         finish(panel, textwrap.fill(title, 84 // drawn.shape[1]), x)
     for panel in drawn[:, 0]:
         panel.set_ylabel(y)
