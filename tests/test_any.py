@@ -9,8 +9,7 @@ import pytest
 from jaxdyna.agents import DQNConfig, ReinforceConfig
 from jaxdyna.envs import CartPole, Hosted, Maze
 from jaxdyna.envs.named import named
-from jaxdyna.experiments import any as any_world
-from jaxdyna.experiments import record
+from jaxdyna.experiments import any as any_world, record
 from jaxdyna.experiments.engine.record import recorded
 from jaxdyna.fields import changed
 from jaxdyna.models import PixelConfig, SupervisedConfig

@@ -70,8 +70,7 @@ from jaxdyna.networks import (
 )
 from jaxdyna.networks.convolution import convolve
 from jaxdyna.planners import CrossEntropyConfig, SearchConfig, ShootingConfig, rollout_value
-from jaxdyna.replay import frames as frame_replay
-from jaxdyna.replay import memory, ring
+from jaxdyna.replay import frames as frame_replay, memory, ring
 from jaxdyna.statistics import SolveRule
 from jaxdyna.sweep import over_runs
 from jaxdyna.types import Transition

@@ -7,8 +7,7 @@ import gymnasium
 import jax
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from jaxdyna.envs import CartPole, CartPoleParams, CartPoleState
 

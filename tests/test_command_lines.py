@@ -8,8 +8,7 @@ from types import NoneType
 from typing import get_args, get_origin
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from jaxdyna import fields
 from jaxdyna.experiments import merge, record

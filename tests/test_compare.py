@@ -7,8 +7,7 @@ import pytest
 from pole import POLE
 
 from jaxdyna.envs.named import named
-from jaxdyna.experiments import any as any_world
-from jaxdyna.experiments import compare
+from jaxdyna.experiments import any as any_world, compare
 from jaxdyna.experiments.engine import storage
 from jaxdyna.experiments.engine.experiment import entries
 from jaxdyna.experiments.engine.record import results_of

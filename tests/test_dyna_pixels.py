@@ -14,8 +14,7 @@ from jaxdyna.envs import FrameStack, Maze, MazeParams
 from jaxdyna.models import LearnedEnvironment, LearnedParams, PixelConfig, PixelHParams, pixels
 from jaxdyna.networks import GlimpseQ, LocalDynamics
 from jaxdyna.planners import solve_maze
-from jaxdyna.replay import frames as frame_replay
-from jaxdyna.replay import memory
+from jaxdyna.replay import frames as frame_replay, memory
 
 SIZE, STEPS, EPISODES, FIRST = 4, 8, 5, 3
 ENV = FrameStack(Maze(size=SIZE, num_obstacles=1))

@@ -14,8 +14,7 @@ import numpy as np
 import optax
 import pytest
 from flax import struct
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from jaxdyna import agents, envs, models, planners
 from jaxdyna.agents.cloning import margin_loss

@@ -4,8 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from jaxdyna.agents.cloning import cross_entropy_loss, margin_loss
 from jaxdyna.agents.reinforce import over_batch, per_step, within_episode

@@ -15,8 +15,7 @@ from parts import assert_same
 from jaxdyna.envs import CartPole, Maze
 from jaxdyna.experiments import planning
 from jaxdyna.experiments.cartpole import CARTPOLE
-from jaxdyna.experiments.cartpole.arms import arms as cartpole_arms
-from jaxdyna.experiments.cartpole.arms import parts as cartpole_parts
+from jaxdyna.experiments.cartpole.arms import arms as cartpole_arms, parts as cartpole_parts
 from jaxdyna.experiments.engine import main
 from jaxdyna.experiments.engine.session import Session
 from jaxdyna.experiments.maze import MAZE

@@ -6,12 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from jaxdyna.networks import GlimpseQ, glimpses
-from jaxdyna.replay import frames as frame_replay
-from jaxdyna.replay import prioritized, ring
+from jaxdyna.replay import frames as frame_replay, prioritized, ring
 from jaxdyna.types import Transition
 
 ADD, REPRIORITISE = jax.jit(prioritized.add), jax.jit(prioritized.reprioritise)

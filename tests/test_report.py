@@ -11,8 +11,7 @@ from jaxdyna.experiments.cartpole.options import TUNED
 from jaxdyna.experiments.engine import cli
 from jaxdyna.experiments.engine.experiment import Experiment
 from jaxdyna.experiments.engine.record import write_report
-from jaxdyna.experiments.report import frozen, plots
-from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report import frozen, plots, sections as report
 from jaxdyna.experiments.report.summaries import break_even, describe_arm, restricted
 from jaxdyna.fields import changed
 from jaxdyna.statistics import SolveRule, summarise

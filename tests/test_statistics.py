@@ -9,10 +9,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
-from hypothesis import strategies as st
-from scipy.stats import beta, binom, binomtest, brunnermunzel, mannwhitneyu, sem, spearmanr
-from scipy.stats import t as scipy_t
+from hypothesis import assume, example, given, settings, strategies as st
+from scipy.stats import (
+    beta,
+    binom,
+    binomtest,
+    brunnermunzel,
+    mannwhitneyu,
+    sem,
+    spearmanr,
+    t as scipy_t,
+)
 
 from jaxdyna.experiments.report.summaries import compare, comparison, describe_arm, restricted
 from jaxdyna.experiments.study.accuracy import Measure, describe

@@ -17,8 +17,7 @@ from jaxdyna.agents.exploration import Exploration
 from jaxdyna.fields import SettingError, check_counts, check_shape
 from jaxdyna.losses import td_error
 from jaxdyna.networks import GlimpseQ, PerceptronQ
-from jaxdyna.replay import frames as frame_replay
-from jaxdyna.replay import prioritized
+from jaxdyna.replay import frames as frame_replay, prioritized
 from jaxdyna.replay.frames import FrameReplay
 from jaxdyna.replay.n_step import Window, take_window
 from jaxdyna.replay.prioritized import Prioritized

@@ -24,8 +24,7 @@ from jaxdyna.models import (
     uncertain,
 )
 from jaxdyna.models.evaluation import change_error, frame_errors
-from jaxdyna.replay import frames as frame_replay
-from jaxdyna.replay import memory
+from jaxdyna.replay import frames as frame_replay, memory
 from jaxdyna.replay.frames import FrameReplay
 from jaxdyna.types import Agent, DynamicsModel, Key, Transition
 

@@ -20,8 +20,7 @@ from jaxdyna.envs.named import FORMS, module_of, named
 from jaxdyna.experiments import engine
 from jaxdyna.experiments.cartpole.options import LEAN
 from jaxdyna.experiments.engine import cli, storage
-from jaxdyna.experiments.report import frozen
-from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report import frozen, sections as report
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.fields import changed, setting
 from jaxdyna.statistics import SolveRule

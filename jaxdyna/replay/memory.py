@@ -8,8 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxdyna.fields import check_counts
-from jaxdyna.replay import frames as frame_replay
-from jaxdyna.replay import ring
+from jaxdyna.replay import frames as frame_replay, ring
 from jaxdyna.replay.frames import FrameReplay
 from jaxdyna.replay.ring import Replay, share_weight
 from jaxdyna.types import Key, Memory, Transition

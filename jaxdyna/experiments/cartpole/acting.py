@@ -6,8 +6,7 @@ from jaxdyna.experiments.cartpole import model
 from jaxdyna.experiments.cartpole.arms import SAID, arms
 from jaxdyna.experiments.cartpole.options import LEAN, PAPER, TUNED, rule
 from jaxdyna.experiments.engine import Experiment
-from jaxdyna.experiments.report import frozen
-from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report import frozen, sections as report
 from jaxdyna.experiments.report.summaries import first_dreams
 
 FEW = {"seeds": 4, "stop_after_solved": 0}

@@ -17,8 +17,7 @@ from jaxdyna.dyna import DynaConfig, DynaHParams, DynaState, Metrics, make_train
 from jaxdyna.experiments.cartpole.arms import parts
 from jaxdyna.experiments.cartpole.options import TUNED
 from jaxdyna.experiments.engine import Arm, Experiment, Options, Work
-from jaxdyna.experiments.report import plots, tables
-from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report import plots, sections as report, tables
 from jaxdyna.experiments.report.summaries import Curves, by_class
 from jaxdyna.fields import changed, setting
 from jaxdyna.models.evaluation import one_step_sums, open_loop, r_squared

@@ -11,8 +11,7 @@ from jaxdyna.experiments.cartpole.acting import CARTPOLE
 from jaxdyna.experiments.cartpole.arms import arms
 from jaxdyna.experiments.cartpole.options import rule
 from jaxdyna.experiments.engine import Study
-from jaxdyna.experiments.report import frozen
-from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report import frozen, sections as report
 from jaxdyna.experiments.report.rows import rows
 from jaxdyna.experiments.report.summaries import first_dreams
 from jaxdyna.experiments.study.accuracy import Measure, accuracy, describe

@@ -7,8 +7,7 @@ from jaxdyna.agents import DQNConfig, DQNHParams
 from jaxdyna.dyna import Dyna, DynaConfig, DynaHParams, Metrics
 from jaxdyna.envs import Catch, CatchParams, FrameStack
 from jaxdyna.experiments.engine import Experiment, Options
-from jaxdyna.experiments.report import frozen
-from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report import frozen, sections as report
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.fields import LARGEST, changed, setting

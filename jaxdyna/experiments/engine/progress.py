@@ -25,8 +25,7 @@ from rich.progress import Progress, TextColumn
 
 from jaxdyna import fields
 from jaxdyna.experiments.engine.storage import unwritten, written
-from jaxdyna.experiments.engine.work import Logger, Runs
-from jaxdyna.experiments.engine.work import Progress as Say
+from jaxdyna.experiments.engine.work import Logger, Progress as Say, Runs
 
 MINUTE = 60.0
 LOG, BOARD = "log.jsonl", "tensorboard"

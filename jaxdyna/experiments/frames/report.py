@@ -10,8 +10,7 @@ import numpy as np
 from jaxdyna.experiments.engine import Record, Results
 from jaxdyna.experiments.frames.judging import THRESHOLDS
 from jaxdyna.experiments.frames.scores import SCORES, f1, scored, used_threshold
-from jaxdyna.experiments.report import frames as pictures
-from jaxdyna.experiments.report import plots, sections
+from jaxdyna.experiments.report import frames as pictures, plots, sections
 from jaxdyna.experiments.report.sections import grouped, paragraphs
 from jaxdyna.experiments.report.summaries import Curves
 from jaxdyna.experiments.report.tables import Table, markdown_table, with_interval

@@ -7,8 +7,7 @@ import numpy as np
 from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.maze.arms import SAID, STARTS, arms
 from jaxdyna.experiments.maze.options import LEAN, PAPER, QUICK, RULE, TUNED, MazeOptions, rule
-from jaxdyna.experiments.report import frozen
-from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report import frozen, sections as report
 from jaxdyna.experiments.report.tables import markdown_table, median, with_interval
 from jaxdyna.statistics import last_mean, mean_of_runs, running_mean, summarise
 

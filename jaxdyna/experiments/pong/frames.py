@@ -20,9 +20,7 @@ from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.data import Played, collect, play, screens, states, take
 from jaxdyna.experiments.pong.trained import kept
 from jaxdyna.experiments.pong.world import OBJECTS, PALETTES
-from jaxdyna.experiments.report import frames as pictures
-from jaxdyna.experiments.report import sections as report
-from jaxdyna.experiments.report import tables
+from jaxdyna.experiments.report import frames as pictures, sections as report, tables
 from jaxdyna.fields import changed, setting
 from jaxdyna.networks import SignedReward
 from jaxdyna.types import DynamicsModel, Key, Transition

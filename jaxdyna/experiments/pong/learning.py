@@ -6,8 +6,7 @@ from jaxdyna.experiments.engine import Experiment
 from jaxdyna.experiments.pong import world
 from jaxdyna.experiments.pong.arms import GAMES, GREEDY_EPISODES, SAID, arms
 from jaxdyna.experiments.pong.options import LEAN, MAIN_ARMS, PAPER, QUICK, TUNED, PongOptions
-from jaxdyna.experiments.report import plots
-from jaxdyna.experiments.report import sections as report
+from jaxdyna.experiments.report import plots, sections as report
 from jaxdyna.experiments.report.summaries import comparison, comparisons
 from jaxdyna.experiments.report.tables import markdown_table, with_interval
 from jaxdyna.experiments.study.grids import both_grids
