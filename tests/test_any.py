@@ -124,7 +124,7 @@ def test_settings_of_no_run(flags, capsys, tmp_path, monkeypatch):
     with pytest.raises(SystemExit, match="2"):
         any_world.main([*flags, "--env", "jaxdyna:CartPole"])
     (line,) = capsys.readouterr().err.splitlines()
-    assert "name a results.json, or a folder that has one" in line
+    assert f"{' '.join(flags)}: there is no result: name a results.json, or a folder" in line
 
 
 def test_frames_have_no_reinforce(capsys):

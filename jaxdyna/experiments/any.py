@@ -19,7 +19,7 @@ from jaxdyna.envs import FrameStack, Hosted
 from jaxdyna.envs.named import FORMS, module_of, named
 from jaxdyna.experiments import engine
 from jaxdyna.experiments.cartpole.options import LEAN
-from jaxdyna.experiments.engine import cli, storage
+from jaxdyna.experiments.engine import cli
 from jaxdyna.experiments.report import frozen, sections as report
 from jaxdyna.experiments.study import arms as study
 from jaxdyna.fields import changed, setting
@@ -159,7 +159,7 @@ def command_parts(flags: Sequence[str]) -> tuple[list[engine.Experiment], list[s
     helping = [word for word in flags if word in ("-h", "--help", "--help-all")]
     asked = [word for word in flags if word not in helping]
     said, rest = cli.read(World, asked, PROG, return_unknown_args=True)
-    earlier = storage.results_at(said.from_).get("config", {}) if said.from_ else {}
+    earlier = cli.earlier(said.from_).get("config", {}) if said.from_ else {}
     rest = [*rest, *helping, *(("--from", str(said.from_)) if said.from_ else ())]
     env, agent = said.env or earlier.get("env"), said.agent or earlier.get("learner")
     if env is None and helping:

@@ -18,6 +18,7 @@ import tyro
 from rich.markdown import Markdown
 
 from jaxdyna import fields
+from jaxdyna.experiments.engine import storage
 from jaxdyna.experiments.engine.experiment import Experiment, Options
 from jaxdyna.experiments.engine.progress import TRACKERS
 from jaxdyna.fields import Leaf, SettingError, setting
@@ -88,6 +89,16 @@ def read(kind: type[O], argv: Sequence[str], prog: str, **how: Any) -> Any:
         while cause is not None and not isinstance(cause, SettingError):
             cause = cause.__context__  # tyro puts it in a panel, by the name of its field alone
         raise cause or ValueError(_one_line(complaint.getvalue())) from None
+
+
+def earlier(path: Path) -> storage.Results:
+    """What ``--from`` names: a results.json, or the folder of one; `ValueError` without one."""
+    results = storage.read_json(path / "results.json" if path.is_dir() else path)
+    if results is None:
+        raise ValueError(
+            f"--from {path}: there is no result: name a results.json, or a folder that has one"
+        )
+    return results
 
 
 def parse(default: O, argv: Sequence[str], prog: str) -> O:

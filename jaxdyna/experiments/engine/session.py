@@ -125,7 +125,7 @@ def _earlier(call: cli.Call, name: str) -> Results:
     """
     if call.from_ is None:
         return {}
-    earlier = storage.results_at(call.from_)
+    earlier = cli.earlier(call.from_)
     if "config" not in earlier or "part" not in earlier:
         raise ValueError(f"--from {call.from_}: it is no result of today's format")
     if earlier["experiment"] != name:

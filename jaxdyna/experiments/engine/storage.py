@@ -88,14 +88,6 @@ def read_json(path: Path) -> Any:
     return told
 
 
-def results_at(path: Path) -> Results:
-    """The ``results.json`` of that name, or in that folder; `ValueError` where there is none."""
-    path = path / "results.json" if path.is_dir() else path
-    if (results := read_json(path)) is None:
-        raise ValueError(f"there is no {path}: name a results.json, or a folder that has one")
-    return results
-
-
 def _dumped(told: Results) -> str:
     return json.dumps(told, indent=1, allow_nan=False) + "\n"
 
