@@ -179,7 +179,8 @@ def studentised_interval(
 
     Returns:
         ``[low, high]``; None where there is no honest one: of five seeds or fewer, of seeds that
-        are all alike, or all but one or two where nothing bounds them, and where one is infinite.
+        are all alike, where one is infinite, and where it would say nothing, as of all but one or
+        two alike: be all that values can be, or more than `MOST_ERRORS` standard errors long.
     """
     values = np.asarray(values, np.float64)
     known = len(values) > FEW and np.isfinite(values).all() and np.ptp(values) > 0
@@ -195,7 +196,8 @@ def studentised_interval(
     high, low = np.percentile(pivots, [2.5, 97.5], method="nearest")
     ends = np.array([mean[0] - low * error[0], mean[0] - high * error[0]])
     if positive and np.isfinite(most):
-        return [float(end) for end in np.clip(np.exp(np.clip(ends, -700, 700)), 0, most)]
+        within = np.clip(np.exp(np.clip(ends, -700, 700)), 0, most)
+        return None if within[0] < 1 / INFINITE and within[1] == most else within.tolist()
     if max(abs(low), abs(high)) > MOST_ERRORS:
         return None
     return [float(end) for end in (np.exp(ends) if positive else ends)]
@@ -223,11 +225,14 @@ def mean_of_runs(values: np.ndarray) -> Summary:
     }
 
 
-def mean_interval(values: np.ndarray) -> np.ndarray:
-    """95% t intervals ``[2, n]`` of means over seeds, each of ``[seeds, n]``: bands of figures."""
-    count = len(values)
-    half = scipy.stats.t.ppf(0.975, count - 1) * values.std(0, ddof=1) / np.sqrt(count)
-    return values.mean(0) + np.stack([-half, half])
+def mean_interval(values: np.ndarray, positive: bool = False) -> np.ndarray:
+    """95% t intervals ``[2, n]`` of means over seeds, each of ``[seeds, n]``, or, of a ``positive``
+    quantity, of their logarithms (delta method): bands of figures.
+    """
+    mean, error = _mean_and_error(values.T, positive)
+    half = scipy.stats.t.ppf(0.975, len(values) - 1) * error
+    ends = mean + np.stack([-half, half])
+    return np.exp(ends) if positive else ends
 
 
 def share_interval(hits: np.ndarray) -> np.ndarray:

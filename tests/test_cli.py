@@ -3,6 +3,8 @@
 import contextlib
 import importlib
 import io
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
@@ -32,6 +34,13 @@ def typed(leaf):
 def _no(flag):
     *owners, name = flag.removeprefix("--").split(".")
     return "--" + ".".join([*owners, f"no-{name}"])
+
+
+def test_a_command_ends_silently_where_nobody_reads_on():
+    words = [sys.executable, "-m", "jaxdyna.experiments.merge", "--help"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        running.stdout.close()
+        assert running.stderr.read() == b"" and running.wait() == 141
 
 
 @pytest.mark.parametrize("part", PARTS, ids=lambda part: part.title)

@@ -105,7 +105,7 @@ def test_a_dream_is_a_world_of_gymnasium(folder):
 
 
 def test_evaluate_prints_it(folder, capsys):
-    assert evaluate.main([str(folder), "--arm", "dyna"]) == 0
+    assert evaluate.main([str(folder), "--arms", "dyna"]) == 0
     rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines() if "dyna" in line]
     assert len(rows) == 2 and all(row[2] == row[3] for row in rows)
     assert evaluate.main([str(folder), "--episodes", "30", "--gymnasium"]) == 0
@@ -113,7 +113,7 @@ def test_evaluate_prints_it(folder, capsys):
     for row in rows:  # CartPole's own, of 100 steps at the most
         assert abs(float(row[2]) - float(row[3])) < 5 and float(row[5].strip(" |")) <= 100
     for argv, said in (
-        ([str(folder), "--arm", "dy"], "has no arm dy: there are model_free, dyna"),
+        ([str(folder), "--arms", "dy"], "has no arm dy: there are model_free, dyna"),
         ([str(folder / "kept")], "has no result of a run"),
     ):
         with pytest.raises(SystemExit):
@@ -148,7 +148,7 @@ def test_films_of_what_is_kept(tmp_path, capsys, monkeypatch):
     for argv, said in (
         (["--film", "a.avi"], "let it end in .gif or .mp4"),
         (["--film", str(tmp_path / "no" / "a.gif")], "cannot write"),
-        (["--film", str(path), "--arm", "dyna", "--seed", "7"], "are kept, not 7"),
+        (["--film", str(path), "--arms", "dyna", "--seed", "7"], "are kept, not 7"),
     ):
         with pytest.raises(SystemExit):
             evaluate.main([str(TODAY), *argv])

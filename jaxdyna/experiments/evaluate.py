@@ -25,14 +25,16 @@ class Call:
 
     folder: tyro.conf.Positional[Path] = setting(help="of the run")
     episodes: int = setting(EPISODES, "that each plays", at_least=1)
-    arm: tuple[str, ...] = setting((), "whose; all without")
+    arms: tuple[str, ...] = setting((), "whose; all without")
     seed: int | None = setting(None, "of the run; all without, of a film the first")
     gymnasium: bool = setting(False, "in Gymnasium's own world, where it has the same one")
     film: Path | None = setting(None, "the GIF or MP4 that is made instead")
 
 
 @cli.command(
-    Call, PROG, f"DIR [--arm ARM...] [--seed N] [--episodes {EPISODES}] [--gymnasium] [--film FILE]"
+    Call,
+    PROG,
+    f"DIR [--arms ARM...] [--seed N] [--episodes {EPISODES}] [--gymnasium] [--film FILE]",
 )
 def main(call: Call, argv: Sequence[str]) -> int:
     """Prints what each earns, and what the report says, or films it. `ValueError` where nothing is
@@ -42,10 +44,10 @@ def main(call: Call, argv: Sequence[str]) -> int:
     seeds = left.results["runs"]["seeds"]
     with programs.kept():
         if call.film is not None:
-            left.film(call.film, call.arm, call.seed)
+            left.film(call.film, call.arms, call.seed)
             print(f"Film: {call.film}")
             return 0
-        for arm in call.arm or left.kept:
+        for arm in call.arms or left.kept:
             kept = left.kept.get(arm, [None])
             for seed in kept if call.seed is None else [call.seed]:
                 earned = returns(left, arm, seed, call)

@@ -165,7 +165,7 @@ def section(record: Any) -> str:
     said, errors = record.results["arms"][ARM], record.curves[ARM]["open_loop"][:, 0]
     by_source = {source: errors[:, row] for row, source in enumerate(SOURCES)}
     plots.bands(record.out / "horizon.png", {"": by_source}, "dreamed steps",
-                "error (standard deviations)", legend="trained on", yscale="log")  # fmt: skip
+                "error (standard deviations)", legend="trained on", log=True)  # fmt: skip
     ahead, fed = (
         tables.markdown_table(
             ["trained on", *rows[SOURCES[0]]],

@@ -4,6 +4,7 @@ import ast
 import contextlib
 import dataclasses
 import io
+import os
 import re
 import shutil
 import signal
@@ -238,11 +239,16 @@ def command(kind: type[O], prog: str, flags: str, more: str = "", bare: bool = F
         def main(argv: Sequence[str] | None = None) -> int:
             spell_out()
             argv = sys.argv[1:] if argv is None else argv
-            if {"-h", "--help"} & set(argv) or not (argv or bare):
-                print(f"usage: {prog} {flags}\n\n{kind.__doc__}{more}")
-                return 0
-            with refused(prog, argv):
-                code = run(read(kind, argv, prog), argv)
+            try:
+                if {"-h", "--help"} & set(argv) or not (argv or bare):
+                    print(f"usage: {prog} {flags}\n\n{kind.__doc__}{more}", flush=True)
+                    return 0
+                with refused(prog, argv):
+                    code = run(read(kind, argv, prog), argv)
+                sys.stdout.flush()
+            except BrokenPipeError:  # who read it has read enough
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                return 128 + signal.SIGPIPE
             return code
 
         return main

@@ -68,7 +68,7 @@ class FrameReport:
         panels = {f"{name}: loss of a frame": losses for name, losses in looks.items()}
         steps = every * np.arange(1, 1 + max(losses["new"].shape[1] for losses in looks.values()))
         drawn = plots.bands(
-            record.out / "training.png", panels, "gradient steps", at=steps, yscale="log"
+            record.out / "training.png", panels, "gradient steps", at=steps, log=True
         )
         header = [f"{whose}, after {part}" for whose in WHOSE for part in ("half", "all")]
         rows = [[name, *(f"{loss:.4g}" for whose in WHOSE for loss in _half_and_all(losses[whose]))]

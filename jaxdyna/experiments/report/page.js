@@ -95,7 +95,7 @@
   let size = {};
   const last = told.episodes.at(-1);
   const x = (episode) => size.left + (size.right - size.left) * episode / last;
-  const y = (height) => size.high - 26 - (size.high - 36) * height / told.heights;
+  const y = (height) => size.high - 44 - (size.high - 64) * height / told.heights;
   const path = (heights) => {
     let pen = "M";
     return heights.map((one, number) => {
@@ -115,7 +115,7 @@
     size.high = Math.round(Math.min(380, Math.max(260, size.width / 2)));
     const { lowest, highest } = measure;
     const across = ticks(0, last, size.width / 90).map((tick) => `<text x="${x(tick)}" y="${
-      size.high - 8}" text-anchor="middle">${tick.toLocaleString("en")}</text>`);
+      size.high - 26}" text-anchor="middle">${tick.toLocaleString("en")}</text>`);
     const up = (measure.orders ? orders(lowest, highest) : ticks(lowest, highest, 6)).map((tick) =>
       `<path class="grid" d="M${size.left} ${y(height(tick))}H${size.right}"/>` +
       `<text x="${size.left - 6}" y="${y(height(tick)) + 4}" text-anchor="end">${
@@ -133,7 +133,14 @@
       `<path d="${path(heights)}" ${look(told.arms[own.arm])} ${thin}/>`));
     const means = shown().map(({ arm, mean }) => `<path class="halo" d="${path(mean)}"/>` +
       `<path d="${path(mean)}" ${look(told.arms[arm])} stroke-width="2.2"/>`);
-    const drawn = [...up, ...across, ...bands, ...singles, ...means].join("");
+    const said = (x, y, words, anchor) =>
+      `<text class="said" x="${x}" y="${y}" text-anchor="${anchor}">${words}</text>`;
+    const solved = measure.solved === null ? [] : [
+      `<path class="solved" d="M${size.left} ${y(height(measure.solved))}H${size.right}"/>`,
+      said(size.left + 4, y(height(measure.solved)) - 4, `solved: ${measure.solved}`, "start")];
+    const axes = [said(4, 12, measure.name, "start"),
+      said(size.right, size.high - 8, "real episodes", "end")];
+    const drawn = [...up, ...across, ...bands, ...singles, ...means, ...solved, ...axes].join("");
     chart.innerHTML = `<svg width="${size.width}" height="${size.high}" role="img">${drawn
     }<path class="cursor" id="cursor"/></svg>`;
     const here = Math.max(...measure.lines.map((own) => own.runs.length));
@@ -149,7 +156,7 @@
     where.textContent = `Real episode ${told.episodes[at].toLocaleString("en")} `;
     slider.value = at;
     document.getElementById("cursor").setAttribute("d",
-      `M${x(told.episodes[at])} 10V${size.high - 26}`);
+      `M${x(told.episodes[at])} 20V${size.high - 44}`);
     values.forEach((output) => { output.textContent = ""; });
     let best = [Infinity];
     for (const own of shown()) {

@@ -43,8 +43,10 @@ LOGARITHMIC = 1000
 RETURN = "real_return"
 
 
-def page(record: Any, text: str) -> str:
-    """A record's report, of ``text`` in Markdown and its folder's figures, curves before these."""
+def page(record: Any, text: str, solved: float | None = None) -> str:
+    """A record's report, of ``text`` in Markdown and its folder's figures, curves before these;
+    ``solved``: the mean return at which runs have, a line among these.
+    """
     markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
     markdown.add_render_rule("image", _captioned)
     markdown.add_render_rule("table_open", lambda *_: '<div class="wide" tabindex="0"><table>\n')
@@ -53,7 +55,7 @@ def page(record: Any, text: str) -> str:
     parts = [markdown.parse(part) for part in (before, figure + after)]
     _embed(parts[1], record.out)
     head, rest = (markdown.renderer.render(part, markdown.options, {}) for part in parts)
-    told = json.dumps(curves(record)).replace("<", "\\u003c")
+    told = json.dumps(curves(record, solved)).replace("<", "\\u003c")
     title = html.escape(text.splitlines()[0].strip("# ").replace("`", ""))
     own = (Path(__file__).with_name(f"page.{kind}") for kind in ("html", "css", "js"))
     whole, style, script = (path.read_text("utf-8") for path in own)
@@ -95,15 +97,15 @@ def _data(path: Path, width: int) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 
-def curves(record: Any) -> Mapping[str, Any]:
+def curves(record: Any, solved: float | None = None) -> Mapping[str, Any]:
     """What the script draws; nothing where nothing was played in episodes.
 
     Returns:
         ``arms``: name, colour and dashes, and how many ``more`` there are; ``runs``: their seeds,
         or what they go ``by``; ``episodes`` at which curves are told; ``measures``, each with its
-        ``lowest`` and ``highest`` value, whether its heights are ``orders``, of its logarithm, and
-        ``arms``: number, points and single runs of each that has it; ``packed``: the lines of all
-        these in turn, see `_lines` and `_heights`.
+        ``lowest`` and ``highest`` value, whether its heights are ``orders``, of its logarithm,
+        ``arms``: number, points and single runs of each that has it, and of returns what is
+        ``solved``; ``packed``: the lines of all these in turn, see `_lines` and `_heights`.
     """
     played = {arm: own for arm, own in record.curves.items() if RETURN in own}
     longest = max((own[RETURN].shape[1] for own in played.values()), default=0)
@@ -113,12 +115,17 @@ def curves(record: Any) -> Mapping[str, Any]:
                if name in own and own[name].shape == own[RETURN].shape}
         for name in dict.fromkeys([RETURN, *(name for own in played.values() for name in own)])
     }  # fmt: skip
+    orders = {name: name != RETURN and _orders(arms) for name, arms in measures.items()}
     for points, runs, fewer, most in SIZES:
         at = np.unique(np.linspace(1, longest, min(points, longest)).round().astype(int))
-        lines = {name: {number: _lines(values, at, runs if name == RETURN else fewer)
+        lines = {name: {number: _lines(values, at, runs if name == RETURN else fewer, orders[name])
                         for number, values in arms.items() if number < most}
                  for name, arms in [*measures.items()][:most]}  # fmt: skip
-        told = [each for name, arms in lines.items() if (each := _heights(name, arms))]
+        told = [
+            each
+            for name, arms in lines.items()
+            if (each := _heights(name, arms, orders[name], solved if name == RETURN else None))
+        ]
         packed = base64.b64encode(gzip.compress(b"".join(each for _, each in told), mtime=0))
         if len(packed) <= CURVES_BYTES:
             break
@@ -143,21 +150,30 @@ def smoothed(values: np.ndarray, window: int) -> np.ndarray:
         means = running_mean(np.where(known, values, 0), window) / running_mean(
             known.astype(float), window
         )
+    means = np.maximum(means, np.where(known, values, np.inf).min(1, keepdims=True))  # but rounding
     ends = values.shape[1] - 1 - known[:, ::-1].argmax(1)
     return np.take_along_axis(means, np.minimum(numbers, ends[:, None]), axis=1)
 
 
-def _lines(values: np.ndarray, at: np.ndarray, runs: int) -> np.ndarray:
+def _orders(arms: Mapping[int, np.ndarray]) -> bool:
+    """Whether a measure is drawn by its logarithm, by its smoothed values."""
+    every = _known(arms.values())
+    return bool(every.size and 0 < LOGARITHMIC * every.min() < every.max())
+
+
+def _lines(values: np.ndarray, at: np.ndarray, runs: int, orders: bool) -> np.ndarray:
     """At episodes ``at`` the mean of smoothed ``[runs, episodes]``, the ends of what is shaded
     around it, and so many single runs, ``[3 + runs, points]``.
     """
     known = values[np.isfinite(values).any(1)]
     known = known if len(known) else values
-    every = [known.mean(0), *plots.around(known), *values[:runs]]
+    every = [known.mean(0), *plots.around(known, positive=orders), *values[:runs]]
     return np.stack(every)[:, at[at <= values.shape[1]] - 1]
 
 
-def _heights(name: str, lines: Mapping[int, np.ndarray]) -> tuple[Mapping[str, Any], bytes] | None:
+def _heights(
+    name: str, lines: Mapping[int, np.ndarray], orders: bool, solved: float | None
+) -> tuple[Mapping[str, Any], bytes] | None:
     """What is told of a measure, and its lines, arm by arm, as heights between the lowest and the
     highest value, -1 where there is none, each as the differences from point to point; None where
     nothing varies. What is shaded may reach beyond single runs, and is cut off there.
@@ -165,9 +181,8 @@ def _heights(name: str, lines: Mapping[int, np.ndarray]) -> tuple[Mapping[str, A
     told = _known(np.delete(one, (1, 2), axis=0) for one in lines.values())
     if not told.size or not np.ptp(told):
         return None
-    orders = bool(0 < LOGARITHMIC * told.min() < told.max())
     shaded = _known(one[1:] for one in lines.values() if len(one) == 3)
-    told = np.concatenate([told, shaded[shaded > 0] if orders else shaded])
+    told = np.concatenate([told, shaded, [] if solved is None else [solved]])
     ends = told.min(), told.max()
     scale = np.log if orders else np.asarray
     (low, high), packed = scale(np.array(ends)), b""
@@ -177,7 +192,7 @@ def _heights(name: str, lines: Mapping[int, np.ndarray]) -> tuple[Mapping[str, A
         packed += np.diff(heights, prepend=0, axis=1).astype("<i2").tobytes()
     arms = [[number, one.shape[1], len(one) - 3] for number, one in lines.items()]
     said = {"name": name.replace("_", " "), "lowest": float(ends[0]), "highest": float(ends[1])}
-    return said | {"orders": orders, "arms": arms}, packed
+    return said | {"orders": orders, "arms": arms, "solved": solved}, packed
 
 
 def _known(parts: Iterable[np.ndarray]) -> np.ndarray:

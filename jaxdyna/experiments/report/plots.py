@@ -7,6 +7,7 @@ Colours are Okabe and Ito's (2008), which colour-blind people tell apart; lines 
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from itertools import cycle, islice, product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -103,7 +104,7 @@ def bands(
     path: Path, panels: Mapping[str, Mapping[str, np.ndarray]], x: str, y: str = "", *,
     window: int | None = None, at: np.ndarray | None = None,
     dots: Mapping[str, Sequence[int]] | None = None, legend: str | None = None,
-    interval: Callable[[np.ndarray], Any] | None = None, **axes: Any,
+    interval: Callable[[np.ndarray], Any] | None = None, log: bool = False, **axes: Any,
 ) -> bool:  # fmt: skip
     """Means over seeds, `shaded`: panels by title, in each of them lines by name. Panels in which
     nothing varies are left out; where all are, there is no figure. Returns whether there is one.
@@ -119,6 +120,7 @@ def bands(
         dots: by name, positions of dots on the line.
         legend: its title.
         interval: what is shaded instead, ``[seeds, n] -> [2, n]``.
+        log: whether what is drawn is positive and falls by orders of magnitude.
         axes: of every panel, as ``matplotlib.axes.Axes.set`` takes them.
     """
     panels = {title: lines for title, lines in panels.items() if _vary(lines.values())}
@@ -128,6 +130,8 @@ def bands(
     figure, drawn = laid_out(len(panels), sharey=bool(y))
     names = list(dict.fromkeys(name for lines in panels.values() for name in lines))
     own = dict(zip(names, looks(names), strict=True))
+    interval = interval or partial(around, positive=log)
+    axes |= {"yscale": "log"} if log else {}
     for panel, (title, lines) in zip(drawn.flat, panels.items(), strict=False):
         for name, values in lines.items():
             shown = carried(running_mean(values, window)) if window else values
@@ -285,9 +289,10 @@ def band(
     panel.plot(x, values.mean(0), label=label, linewidth=1.8, **look._asdict(), **line)
 
 
-def around(values: np.ndarray) -> Any:
+def around(values: np.ndarray, positive: bool = False) -> Any:
     """The ends of what is shaded around the mean of ``[seeds, n]``, each ``[n]``."""
-    return mean_interval(values) if len(values) > FEW else (values.min(0), values.max(0))
+    few = len(values) <= FEW
+    return (values.min(0), values.max(0)) if few else mean_interval(values, positive)
 
 
 def shaded(values: np.ndarray) -> str:

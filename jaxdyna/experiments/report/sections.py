@@ -250,7 +250,7 @@ def behaviour(
     """What episodes are like against their number, a panel a curve, by the curve's name; ``log``:
     where what is drawn falls by orders of magnitude.
     """
-    how = {"yscale": "log"} if log else {"ylim": (0, None)}
+    how = {"log": True} if log else {"ylim": (0, None)}
     shown = drawn(record, arms)
     panels = {
         title: {arm: curves[key] for arm, curves in shown.items() if key in curves}
