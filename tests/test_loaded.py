@@ -294,3 +294,19 @@ def test_in_a_new_process_from_another_folder(folder, tmp_path):
         line.split(" | ") for line in done.stdout.splitlines() if line.startswith(("| d", "| m"))
     ]
     assert len(rows) == 4 and all(row[2] == row[3] for row in rows), done.stderr
+
+
+def test_an_earlier_stage_is_played_again(folder, tmp_path, capsys):
+    left = jaxdyna.load(folder)
+    last, early = left.at(10**6), left.at(3)
+    assert early.kept == {"model_free": [0, 1, 2], "dyna": [0, 1, 2]}  # whether kept or not
+    assert last.returns("dyna", 1, 5).tolist() == left.returns("dyna", 1, 5).tolist()
+    assert early.returns("dyna", 1).tolist() != left.returns("dyna", 1).tolist()
+    # as a run that ends there, with the same seeds
+    shorter = play(tmp_path / "out", "--episodes", "3", "--arms", "dyna")
+    assert early.returns("dyna", 1).tolist() == jaxdyna.load(shorter).returns("dyna", 1).tolist()
+    assert evaluate.main([str(folder), "--stage", "3", "--arms", "dyna", "--seed", "2"]) == 0
+    said = capsys.readouterr().out
+    assert "after 3 real episodes" in said and "| dyna | 2 | - |" in said
+    with pytest.raises(ValueError, match="stage"):
+        left.at(0)

@@ -27,6 +27,9 @@ class Call:
     episodes: int = setting(EPISODES, "that each plays", at_least=1)
     arms: tuple[str, ...] = setting((), "whose; all without")
     seed: int | None = setting(None, "of the run; all without, of a film the first")
+    stage: int | None = setting(
+        None, "the real episode after which; a run is played again up to there", at_least=1
+    )
     gymnasium: bool = setting(False, "in Gymnasium's own world, where it has the same one")
     film: Path | None = setting(None, "the GIF or MP4 that is made instead")
 
@@ -34,13 +37,15 @@ class Call:
 @cli.command(
     Call,
     PROG,
-    f"DIR [--arms ARM...] [--seed N] [--episodes {EPISODES}] [--gymnasium] [--film FILE]",
+    f"DIR [--arms ARM...] [--seed N] [--stage EPISODE] [--episodes {EPISODES}] [--gymnasium] "
+    "[--film FILE]",
 )
 def main(call: Call, argv: Sequence[str]) -> int:
     """Prints what each earns, and what the report says, or films it. `ValueError` where nothing is
     kept in the folder, or Gymnasium has no such world.
     """
     left, rows = load(call.folder), []
+    left = left.at(call.stage) if call.stage else left
     seeds = left.results["runs"]["seeds"]
     with programs.kept():
         if call.film is not None:
@@ -51,12 +56,14 @@ def main(call: Call, argv: Sequence[str]) -> int:
             kept = left.kept.get(arm, [None])
             for seed in kept if call.seed is None else [call.seed]:
                 earned = returns(left, arm, seed, call)
-                said = left.curves[arm][RETURN][seeds.index(seed)]
-                numbers = said, earned.mean(), earned.min(), earned.max()
-                rows.append([arm, str(seed), *(f"{one:.10g}" for one in numbers)])
+                said = left.curves[arm].get(RETURN, np.full(len(seeds), np.nan))
+                numbers = said[seeds.index(seed)], earned.mean(), earned.min(), earned.max()
+                told = ("-" if np.isnan(one) else f"{one:.10g}" for one in numbers)
+                rows.append([arm, str(seed), *told])
     if not rows:
         raise ValueError(f"{call.folder} keeps no policy: play with --keep-runs above 0")
     where = "Gymnasium's own world" if call.gymnasium else "the true world"
+    where += f" after {call.stage} real episodes" if call.stage else ""
     header = ["arm", "seed", "report", f"{call.episodes} episodes", "least", "most"]
     print(f"Returns in {where}:\n\n{markdown_table(header, rows)}")
     return 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from operator import itemgetter
 from pathlib import Path
@@ -17,7 +17,7 @@ from jaxdyna.experiments.engine import storage, trained
 from jaxdyna.experiments.engine.experiment import Entry, Experiment, Study
 from jaxdyna.experiments.engine.record import FORMAT, recorded
 from jaxdyna.experiments.engine.trained import EPISODES, REAL, RETURN, Keeper, Trained
-from jaxdyna.experiments.engine.work import HOOKS, Curves, runs_of
+from jaxdyna.experiments.engine.work import HOOKS, Curves, Engine, Runs, Work, runs_of
 from jaxdyna.experiments.report import frames
 from jaxdyna.fields import check_counts
 from jaxdyna.watched import Scene, Shot
@@ -58,11 +58,23 @@ class Loaded:
     #: by arm and name, arrays ``[runs, ...]``, NaN after a run's own end
     curves: Mapping[str, Curves]
     entries: Mapping[str, Entry]  #: every arm that there can be, by name
+    stage: int | None = None  #: the real episode after which runs are opened; None: their last
+
+    def at(self, stage: int) -> Loaded:
+        """The same after so many real episodes, or a run's own last: what is asked for is played
+        again up to there, kept or not, to the same bits on the same kind of machine.
+        """
+        check_counts(stage=stage)
+        return replace(self, stage=stage)
 
     @cached_property
     def kept(self) -> dict[str, list[int]]:
-        """The seeds whose policy and dreams are kept, by arm."""
+        """The seeds whose policy and dreams can be had, by arm."""
         seeds, none = np.array(self.results["runs"]["seeds"]), np.array(np.nan)
+        if self.stage is not None:
+            return {
+                arm: seeds.tolist() for arm in self.curves if self.entries[arm].make().work.trained
+            }
         found = {arm: np.isfinite(one.get(RETURN, none)) for arm, one in self.curves.items()}
         return {arm: seeds[which].tolist() for arm, which in found.items() if which.any()}
 
@@ -145,8 +157,19 @@ class Loaded:
         row = self.results["runs"]["seeds"].index(seed)
         hparams = jax.tree.map(itemgetter(0), runs.hparams)
         own = {name: self.curves[arm][name][row] for name in (REAL, RETURN)}
-        kept = trained.read(self.folder, arm, seed, own)
+        if self.stage is not None:
+            kept = self._again(made.work, runs, min(self.stage, np.isfinite(own[REAL]).sum()))
+        else:
+            kept = trained.read(self.folder, arm, seed, own)
         keeper = Keeper(made.work.init, made.work.trained, hparams)
         if said := keeper.differs(kept):
             raise ValueError(f"{arm} in {self.folder} was kept by another version: {said}")
         return keeper, kept, jax.random.fold_in(runs.judging[0], HOOKS.index("keep")), hparams
+
+    def _again(self, work: Work, runs: Runs, units: int) -> Mapping[str, Any]:
+        """What one run has learned after so many units; `ValueError` where it breaks before."""
+        played = Engine(keep=runs.seed[0] + 1).play(work, runs._replace(units=np.array([units])))
+        kept, _ = trained.apart(played.curves[0])
+        if not kept:
+            raise ValueError(f"its numbers stopped being finite before episode {units}")
+        return kept

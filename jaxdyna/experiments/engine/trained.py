@@ -130,12 +130,17 @@ def told_of(kept: Arrays, returns: jax.Array) -> dict[str, Any]:
     return {f"{KEPT}{name}": np.asarray(array) for name, array in kept.items()} | earned
 
 
+def apart(run: Arrays) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """What is kept of a run, and the rest of its curves."""
+    kept = {name.removeprefix(KEPT): run[name] for name in run if name.startswith(KEPT)}
+    return kept, {name: run[name] for name in run if not name.startswith(KEPT)}
+
+
 def write(folder: Path, arm: str, seed: int, run: Arrays) -> dict[str, np.ndarray]:
     """Writes what is kept of a run into a file of its own below a record's folder, and returns the
     rest of its curves. `InputError` where it cannot be written.
     """
-    kept = {name.removeprefix(KEPT): run[name] for name in run if name.startswith(KEPT)}
-    rest = {name: run[name] for name in run if not name.startswith(KEPT)}
+    kept, rest = apart(run)
     path = file_of(folder, arm, seed)
     if kept:
         with suppress(OSError):  # where it cannot be made, nor can the file
