@@ -1,6 +1,7 @@
 """What reports say beside their tables."""
 
 import io
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -187,6 +188,10 @@ def test_the_area_under_the_learning_curve_ends_with_the_first_run(tmp_path):
     said = report.area(one)
     assert "of the first 2 real episodes" in said
     assert "dyna 1.2; model_free 0.2" in said
+    runs = np.arange(6.0)[:, None] * np.ones((6, 3))
+    one.curves = {name: {"real_return": runs + more} for name, more in (("a", 0), ("b", 6))}
+    said = report.area(one)  # the least p that ranks of six and six can have
+    assert "(p: against a, by" in said and re.search(r"; b 8\.5 \(.* to .*\), p = 0\.002\.", said)
 
 
 def test_what_a_real_step_has_to_cost_by_hand(tmp_path):

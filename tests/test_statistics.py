@@ -270,6 +270,18 @@ def test_unsolved_runs_count_with_what_they_played_in_a_ratio():
     assert restricted(steps).tolist() == [10, 30, 50]
 
 
+def test_arms_that_hardly_solve_are_not_compared():
+    """Restricted means that are the budget but for one run are alike, whatever the arms are."""
+    hardly = summarise(np.array([260.0] + 9 * [INF]), at_least=300)
+    half = summarise(np.array([150.0] * 5 + 5 * [INF]), at_least=300)
+    arms = {name: {"episodes_to_solve": one} for name, one in (("model_free", hardly),
+            ("dyna", summarise(np.full(10, INF), at_least=300)), ("placebo", half))}  # fmt: skip
+    found = comparison({"arms": arms}, {})
+    why = "since fewer than half of the runs of either have solved"
+    assert found[0] == f"dyna and model_free: no ratio of episodes, {why}."
+    assert found[1].startswith("placebo needs **0.76** of model_free's episodes")
+
+
 def test_what_p_and_intervals_allow_to_say():
     """Told apart, not told apart, or the same within a tenth."""
     draw = np.random.default_rng(0)

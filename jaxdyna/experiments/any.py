@@ -140,7 +140,9 @@ def experiment(said: str, learner: str | None) -> engine.Experiment:
     """A world's experiment."""
     options = defaults(said, learner)
     vectors = isinstance(options.model, models.SupervisedConfig)
-    errors = {"model_error": "squared error of the next state over its change"}
+    errors = {
+        "model_error": "squared error of the next state over its change (1: as if nothing moved)"
+    }
     return engine.Experiment(
         name="any-" + "".join(one if one.isalnum() else "-" for one in said).strip("-").lower(),
         title=said, presets={"lean": options}, arms=arms, rule=rule,

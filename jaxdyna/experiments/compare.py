@@ -19,7 +19,7 @@ from jaxdyna.experiments.engine.loaded import load
 from jaxdyna.experiments.engine.record import write_report
 from jaxdyna.experiments.report import sections, tables
 from jaxdyna.experiments.report.rows import counted
-from jaxdyna.experiments.report.summaries import restricted, verdict
+from jaxdyna.experiments.report.summaries import hardly_solved, restricted, verdict
 from jaxdyna.experiments.report.tables import figure_at, markdown_table, number, paragraphs
 from jaxdyna.fields import setting
 from jaxdyna.statistics import SolveRule, brunner_munzel, holm, ratio_of_means, sooner
@@ -28,6 +28,7 @@ PROG = "python -m jaxdyna.experiments.compare"
 WHOSE = {"experiment": "compare", "part": "compare"}
 BUDGET, RULE = "episodes", "solve rule"
 UNEVEN = "unsolved runs stopped at different steps"
+UNSOLVED = "fewer than half of either solved"
 SAID = (
     "Ratios are of restricted means: an unsolved run counts with what it played. Intervals are of "
     "the log ratio (delta method, Student's t), p is of a permutation test of the same statistic, "
@@ -174,16 +175,18 @@ def compared(sides: Mapping[str, Side], measure: str) -> list[Results]:
 
 
 def _tested(figures: Sequence[Results], paired: bool) -> Results:
-    """By ranks, unsolved runs last; and by restricted means, but where an unsolved run stopped
-    earlier than another one needed or played: whoever plays less would look better.
+    """By ranks, unsolved runs last; and by restricted means, but where `hardly_solved`, or where an
+    unsolved run stopped earlier than another one needed or played: whoever plays less would look
+    better.
     """
     needed, played = [*map(tables.per_seed, figures)], [*map(restricted, figures)]
     values, unsolved = np.concatenate(played), np.isinf(np.concatenate(needed))
     uneven = bool((unsolved & (values < values.max() * (1 - 1e-9))).any())
-    one, other = needed if uneven else played
+    reason = UNEVEN if uneven else UNSOLVED if hardly_solved(*figures) else None
+    one, other = needed if reason else played
     return ratio_of_means(one, other, paired) | {
         "sooner": sooner(*needed), "sooner_p": None if paired else brunner_munzel(*needed),
-        "no_ratio": UNEVEN if uneven else None}  # fmt: skip
+        "no_ratio": reason}  # fmt: skip
 
 
 def table(record: Any) -> str:

@@ -13,7 +13,7 @@ from jaxdyna import fields
 from jaxdyna.experiments.report import frames, plots, tables
 from jaxdyna.experiments.report.summaries import HELD_EPISODES, break_even, comparison, comparisons
 from jaxdyna.experiments.report.tables import Results, markdown_table, paragraphs, runs
-from jaxdyna.statistics import FEW, episodes_to_solve, mean_of_runs, summarise
+from jaxdyna.statistics import FEW, brunner_munzel, episodes_to_solve, mean_of_runs, summarise
 
 Section = Callable[[Any], str]
 Rule = Callable[[Any], Any]  #: of options their `SolveRule`, or None
@@ -169,16 +169,24 @@ def thresholds(record: Any, rule: Rule) -> str:
 
 
 def area(record: Any) -> str:
-    """The area under each arm's learning curve up to where the first run of any arm ends."""
+    """The area under each arm's learning curve up to where the first run of any arm ends, each
+    tested against the first arm's.
+    """
     returns = {name: curves["real_return"] for name, curves in record.curves.items()}
     if len(returns) < 2:
         return ""
     end = min(int(np.isfinite(values).sum(1).min()) for values in returns.values())
-    said = [f"{name} {tables.with_interval(mean_of_runs(values[:, :end].mean(1)), 1)}"
-            for name, values in returns.items()]  # fmt: skip
+    areas = {name: values[:, :end].mean(1) for name, values in returns.items()}
+    (base, first), *others = areas.items()
+    said = [f"{base} {tables.with_interval(mean_of_runs(first), 1)}"]
+    for name, values in others:
+        p = brunner_munzel(values, first)
+        tested = "" if p is None else f", {tables.p_value(p)}"
+        said.append(f"{name} {tables.with_interval(mean_of_runs(values), 1)}{tested}")
+    against = "" if len(first) <= FEW else f" (p: against {base}, by Brunner and Munzel's test)"
     return (
         "Without a threshold, the area under the learning curve: the mean return of the first "
-        f"{end} real episodes, as many as every run has played: {'; '.join(said)}."
+        f"{end} real episodes, as many as every run has played{against}: {'; '.join(said)}."
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxdyna import statistics
 from jaxdyna.dyna.loop import DIVERGED
-from jaxdyna.experiments.report.tables import Results, figure_at, interval, per_seed
+from jaxdyna.experiments.report.tables import Results, figure_at, interval, p_value, per_seed
 from jaxdyna.statistics import SolveRule, last_mean, mean_of_runs, summarise
 
 Curves = Mapping[str, np.ndarray]
@@ -78,15 +78,24 @@ def first_dreams(options: Any, curves: Curves) -> Results:
 
 def compare(arms: Results, baseline: str, figure: str = "episodes_to_solve") -> Results:
     """`statistics.ratio_of_means` of each arm's figure, by its dotted path, to the baseline's in
-    the same setting; unsolved runs count with what they played: the ratio of restricted means.
+    the same setting; unsolved runs count with what they played: the ratio of restricted means, but
+    where both are `hardly_solved`.
     """
     ratios = {}
     for name, arm in arms.items():
         other = baseline_of(arm, baseline)
         mine, theirs = figure_at(arm, figure), figure_at(arms.get(other, {}), figure)
         if mine and theirs and name != other:
-            ratios[name] = statistics.ratio_of_means(restricted(mine), restricted(theirs))
+            of = per_seed if hardly_solved(mine, theirs) else restricted
+            ratios[name] = statistics.ratio_of_means(of(mine), of(theirs))
     return ratios
+
+
+def hardly_solved(*figures: Results) -> bool:
+    """Whether fewer than half of the runs of each have solved: their restricted means are near the
+    budget then, and so alike, whatever the arms are.
+    """
+    return all(2 * figure["solved"] < figure["seeds"] for figure in figures)
 
 
 def baseline_of(arm: Results, baseline: str) -> str:
@@ -113,12 +122,13 @@ def comparison(
     for name, ratio in compare(arms, baseline, figure).items():
         other = baseline_of(arms[name], baseline)
         if ratio["ratio"] is None:
-            lines.append(f"{name} and {other}: no ratio of {UNITS[figure]}.")
+            why = hardly_solved(*(figure_at(arms[one], figure) for one in (name, other)))
+            said = ", since fewer than half of the runs of either have solved" if why else ""
+            lines.append(f"{name} and {other}: no ratio of {UNITS[figure]}{said}.")
             continue
         beside = []
         if ratio["ci95"] is not None:
-            p = "p < 0.001" if ratio["p"] < 0.001 else f"p = {ratio['p']:.3f}"
-            beside += [f"95% interval {interval(ratio['ci95'], 2)}", p]
+            beside += [f"95% interval {interval(ratio['ci95'], 2)}", p_value(ratio["p"])]
         beside += [f"the paper's is {paper[name]:.2g}"] if name in paper else []
         said = f" ({', '.join(beside)})" if beside else ""
         found = f"{name} needs **{ratio['ratio']:.2f}** of {other}'s {UNITS[figure]}"

@@ -44,6 +44,11 @@ def with_interval(summary: Summary, digits: int = 0, sign: str = "") -> str:
     return said if beside == "-" else f"{said} ({beside})"
 
 
+def p_value(p: float) -> str:
+    """A p-value in words."""
+    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
+
+
 def median(summary: Summary) -> str:
     """``median (low to high)``; one that unsolved runs leave unknown is above the budget."""
     value, ends = summary["median"], summary["median_ci95"]
