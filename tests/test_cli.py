@@ -36,8 +36,9 @@ def _no(flag):
     return "--" + ".".join([*owners, f"no-{name}"])
 
 
-def test_a_command_ends_silently_where_nobody_reads_on():
-    words = [sys.executable, "-m", "jaxdyna.experiments.merge", "--help"]
+@pytest.mark.parametrize("command", ["merge", "cartpole"])
+def test_a_command_ends_silently_where_nobody_reads_on(command):
+    words = [sys.executable, "-m", f"jaxdyna.experiments.{command}", "--help"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
         running.stdout.close()
         assert running.stderr.read() == b"" and running.wait() == 141

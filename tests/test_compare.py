@@ -148,6 +148,10 @@ def test_unsolved_runs_are_last_by_rank_and_alike():
     assert known["ratio"] > 1 and known["sooner"] < 0.5 and known["no_ratio"] is None
     never = compare._tested([figure([inf] * 6, 10 + np.arange(6)), figure([inf] * 6, 90)], False)
     assert never["sooner"] == 0.5 and never["ratio"] is never["sooner_p"] is None
+    hardly = figure([*six[:2], *[inf] * 5], 90), figure([6.0, *[inf] * 6], 90)
+    said = compare._tested(hardly, False)
+    assert said["ratio"] is None and said["no_ratio"] == "fewer than half of either solved"
+    assert said["sooner"] > 0.5 and 0 < said["sooner_p"] < 1
 
 
 def test_runs_of_other_seeds_are_numbered(tmp_path):

@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from pole import PARTS, POLE
 import jaxdyna
 from jaxdyna.experiments import catch, evaluate
 from jaxdyna.experiments.cartpole import CARTPOLE
-from jaxdyna.experiments.engine import Engine, main, runs_of, storage
+from jaxdyna.experiments.engine import Engine, main, programs, runs_of, storage
 from jaxdyna.experiments.engine.checkpoint import Store
 from jaxdyna.experiments.engine.trained import KEPT, Keeper
 from jaxdyna.experiments.report import frames
@@ -300,13 +301,31 @@ def test_an_earlier_stage_is_played_again(folder, tmp_path, capsys):
     left = jaxdyna.load(folder)
     last, early = left.at(10**6), left.at(3)
     assert early.kept == {"model_free": [0, 1, 2], "dyna": [0, 1, 2]}  # whether kept or not
-    assert last.returns("dyna", 1, 5).tolist() == left.returns("dyna", 1, 5).tolist()
-    assert early.returns("dyna", 1).tolist() != left.returns("dyna", 1).tolist()
-    # as a run that ends there, with the same seeds
-    shorter = play(tmp_path / "out", "--episodes", "3", "--arms", "dyna")
-    assert early.returns("dyna", 1).tolist() == jaxdyna.load(shorter).returns("dyna", 1).tolist()
+    with programs.kept():
+        assert last.returns("dyna", 1, 5).tolist() == left.returns("dyna", 1, 5).tolist()
+        earned = early.returns("dyna", 1).tolist()
+        # as of a run that ends there, with the same seeds
+        shorter = play(tmp_path / "out", "--episodes", "3", "--arms", "dyna")
+        assert earned == jaxdyna.load(shorter).returns("dyna", 1).tolist()
+        assert earned != left.returns("dyna", 1).tolist()
+        nothing = {
+            name: values for name, values in left.curves["dyna"].items() if "kept" not in name
+        }
+        bare = replace(left, curves={"dyna": nothing})  # as with --keep-runs 0
+        bare.at(3).film(tmp_path / "a.gif", seed=2)
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames > 5
     assert evaluate.main([str(folder), "--stage", "3", "--arms", "dyna", "--seed", "2"]) == 0
     said = capsys.readouterr().out
     assert "after 3 real episodes" in said and "| dyna | 2 | - |" in said
     with pytest.raises(ValueError, match="stage"):
         left.at(0)
+
+
+def test_a_run_that_broke_has_no_later_stage(folder):
+    left = jaxdyna.load(folder)
+    curves = left.curves["dyna"] | {"diverged": np.array([[0, 1.0], [0, 0], [0, 0]])}
+    broken = replace(left, curves={"dyna": curves})
+    assert broken.at(1).kept == {"dyna": [0, 1, 2]} and broken.at(2).kept == {"dyna": [1, 2]}
+    with pytest.raises(ValueError, match=r"\[1, 2\] are kept, not 0: others broke before"):
+        broken.at(2).returns("dyna", 0)

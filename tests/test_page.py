@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from jaxdyna.experiments.report import frames, page, plots
+from jaxdyna.statistics import SolveRule
 
 ODD = "dyna@a</script>b&c='d'"
 
@@ -186,6 +187,19 @@ def test_what_is_shaded_is_whole_where_no_single_runs_are_drawn(tmp_path, monkey
                   model_error=lambda generator, returns: 10.0 ** (2 * returns))  # fmt: skip
     (error,) = (one for one in page.curves(made)["measures"] if one["name"] == "model error")
     assert error["orders"] and error["lowest"] > 0  # an interval of its mean begins below 0
+
+
+def test_the_return_at_which_runs_have_solved_is_a_line(tmp_path):
+    made = record(tmp_path, ("dyna",))
+    plain, (lined, *rest) = (
+        page.curves(made, rule)["measures"] for rule in (None, SolveRule(9, 50.0))
+    )
+    assert lined["solved"] == 50 and plain[0]["solved"] is None
+    assert lined["highest"] == 50 and lined["lowest"] == plain[0]["lowest"]  # there is room for it
+    assert all(other["solved"] is None for other in rest)
+    assert page.curves(made, SolveRule(9, 50.0))["rule"] == "solved: mean of 9 at 50"
+    shares = page.curves(made, SolveRule(9, 0.9, "alike"))
+    assert all(measure["solved"] is None for measure in shares["measures"])
 
 
 def test_a_record_without_episodes_has_no_curves(tmp_path):

@@ -88,3 +88,14 @@ def test_a_film_is_no_wider_than_a_page_and_its_captions_can_be_read(tmp_path):
     head = grey[:20, :200]
     rows = np.flatnonzero((head < 128).any(1))
     assert rows[-1] - rows[0] >= 13  # from the tallest letter's top to the lowest one's end
+
+
+def test_bands_by_orders_of_magnitude_stay_above_zero(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(plots, "save", lambda figure, path: drawn.append(figure))
+    values = np.exp(4 * np.random.default_rng(0).normal(size=(10, 30)))
+    for log in (False, True):
+        assert plots.bands(tmp_path / "a.png", {"": {"dyna": values}}, "x", log=log)
+    lowest = [figure.axes[0].collections[0].get_paths()[0].vertices[:, 1].min() for figure in drawn]
+    assert lowest[0] < 0 < lowest[1] < values.mean(0).min()
+    assert [figure.axes[0].get_yscale() for figure in drawn] == ["linear", "log"]

@@ -189,9 +189,18 @@ def test_the_area_under_the_learning_curve_ends_with_the_first_run(tmp_path):
     assert "of the first 2 real episodes" in said
     assert "dyna 1.2; model_free 0.2" in said
     runs = np.arange(6.0)[:, None] * np.ones((6, 3))
-    one.curves = {name: {"real_return": runs + more} for name, more in (("a", 0), ("b", 6))}
-    said = report.area(one)  # the least p that ranks of six and six can have
-    assert "(p: against a, by" in said and re.search(r"; b 8\.5 \(.* to .*\), p = 0\.002\.", said)
+    more = {"model_free": 0, "more_updates": 1, "dyna": 6, "model_free@x=1": 6, "dyna@x=1": 12}
+    one.curves = {name: {"real_return": runs + more} for name, more in more.items()}
+    one.results["arms"] |= {name: {"arm": name.partition("@")[0], "setting": "x=1"}
+                            for name in more if "@" in name}  # fmt: skip
+    said = report.area(one)  # 0.002 is the least p that ranks of six and six can have
+    told = [
+        re.sub(r" [\d.]+ \([^)]*\)", "", part) for part in said.partition("played: ")[2].split("; ")
+    ]
+    assert told[0] == "model_free" and told[3] == "model_free@x=1"
+    assert told[2].startswith("dyna, p = 0.002 against model_free, p = 0.0")
+    assert told[2].endswith(" against more_updates")
+    assert told[4] == "dyna@x=1, p = 0.002 against model_free@x=1 (Brunner and Munzel's test)."
 
 
 def test_what_a_real_step_has_to_cost_by_hand(tmp_path):
@@ -199,9 +208,10 @@ def test_what_a_real_step_has_to_cost_by_hand(tmp_path):
     1 real step of 5 on average: 8 s for it.
     """
     arms = {
-        name: {"real_steps_to_solve": {"per_seed": steps, "restricted_mean": mean, "solved": 3}}
+        name: {"real_steps_to_solve": {
+            "per_seed": steps, "restricted_mean": mean, "solved": 3, "seeds": 6}}
         for name, steps, mean in (("dyna", [3, 5] * 3, 4), ("model_free", [4, None] * 3, 5))
-    }
+    }  # fmt: skip
     results = {
         "runs": {"seeds": list(range(6)), "block": 2}, "arms": arms,
         "device": {"platform": "cpu", "cpu_cores": 2, "count": 1},
@@ -212,6 +222,9 @@ def test_what_a_real_step_has_to_cost_by_hand(tmp_path):
     assert break_even(on_one) == pytest.approx((4, 1, 4000))
     swapped = dict(zip(arms, reversed(arms.values()), strict=True))
     assert break_even(results | {"arms": swapped}) is None  # they save nothing
+    hardly = {name: {"real_steps_to_solve": {**arm["real_steps_to_solve"], "solved": 2}}
+              for name, arm in arms.items()}  # fmt: skip
+    assert break_even(results | {"arms": hardly}) is None
     assert break_even(results | {"timing": {"arms": {"dyna": {"run_s": 1.0}}}}) is None
     unsolved = results["arms"]["dyna"]["real_steps_to_solve"] | {"solved": 0}
     dyna = results["arms"]["dyna"] | {"real_steps_to_solve": unsolved}

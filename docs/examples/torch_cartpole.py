@@ -2,10 +2,12 @@
 Gymnasium, one environment, one step and one seed at a time. Dreams too are stepped one by one, or
 all those of an update together (``batched``).
 
-It is what `python -m jaxdyna.experiments.benchmark` is measured against.
+It is what `python -m jaxdyna.experiments.benchmark` is measured against. Alone,
+``python docs/examples/torch_cartpole.py 10``, it says how soon so many runs of each arm solve.
 """
 
 import random
+import sys
 
 import gymnasium
 import numpy as np
@@ -193,3 +195,11 @@ def episodes_to_solve(
         if len(lengths) >= WINDOW and np.mean(lengths[-WINDOW:]) >= SOLVED:
             return len(lengths)
     return None
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    for seed in range(int(sys.argv[1])):
+        for dyna in (False, True):
+            found = episodes_to_solve(seed, dyna=dyna)
+            print("dyna" if dyna else "model_free", seed, found, flush=True)

@@ -30,12 +30,13 @@ BUDGET, RULE = "episodes", "solve rule"
 UNEVEN = "unsolved runs stopped at different steps"
 UNSOLVED = "fewer than half of either solved"
 SAID = (
-    "Ratios are of restricted means: an unsolved run counts with what it played. Intervals are of "
-    "the log ratio (delta method, Student's t), p is of a permutation test of the same statistic, "
-    "Holm's p takes in all rows. *Sooner*: the share of pairs of runs in which the first needs "
-    "less, equal ones half and unsolved ones last, and Brunner and Munzel's p. Paired are the same "
-    "seeds of one arm in settings of one preset. Told apart: Holm's p is at most 0.05; the same "
-    "within a tenth: the ratio's 90% interval lies within 0.9 to 1.1."
+    "Ratios are of restricted means: an unsolved run counts with what it played; there is none "
+    "where fewer than half of the runs of either have solved. Intervals are of the log ratio "
+    "(delta method, Student's t), p is of a permutation test of the same statistic, Holm's p "
+    "takes in all rows. *Sooner*: the share of pairs of runs in which the first needs less, equal "
+    "ones half and unsolved ones last, and Brunner and Munzel's p. Paired are the same seeds of "
+    "one arm in settings of one preset. Told apart: Holm's p is at most 0.05; the same within a "
+    "tenth: the ratio's 90% interval lies within 0.9 to 1.1."
 )
 
 
@@ -92,7 +93,7 @@ def main(call: Call, argv: Sequence[str]) -> int:
     }
     curves = {name: side.curves for name, side in sides.items()}
     overlaid = sections.learning_curves(lambda _: first.rule, arms=[*sides], begins=False)
-    report = Experiment("compare", "Comparison", {}, lambda _: {},
+    report = Experiment("compare", "Comparison", {}, lambda _: {}, rule=lambda _: first.rule,
                         sections=(table, overlaid, differences))  # fmt: skip
     with folders.held(call.out):
         folders.claim(call.out, WHOSE, fresh=False)

@@ -63,8 +63,8 @@ def main(call: Call, argv: Sequence[str]) -> int:
     if not rows:
         raise ValueError(f"{call.folder} keeps no policy: play with --keep-runs above 0")
     where = "Gymnasium's own world" if call.gymnasium else "the true world"
-    where += f" after {call.stage} real episodes" if call.stage else ""
-    header = ["arm", "seed", "report", f"{call.episodes} episodes", "least", "most"]
+    where += f" after {call.stage} real episodes, or a run's last" if call.stage else ""
+    header = ["arm", "seed", "report, in the end", f"{call.episodes} episodes", "least", "most"]
     print(f"Returns in {where}:\n\n{markdown_table(header, rows)}")
     return 0
 

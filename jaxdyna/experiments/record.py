@@ -27,10 +27,10 @@ from jaxdyna.experiments.engine.experiment import chosen
 from jaxdyna.experiments.engine.loaded import load
 from jaxdyna.experiments.engine.record import command_of, recorded, results_of, write_report
 from jaxdyna.experiments.engine.session import Session, flags_between, identity_of, prepared
-from jaxdyna.experiments.report.summaries import compare
-from jaxdyna.experiments.report.tables import interval, markdown_table, number, spoken
+from jaxdyna.experiments.report.summaries import restricted
+from jaxdyna.experiments.report.tables import figure_at, interval, markdown_table, number, spoken
 from jaxdyna.fields import setting
-from jaxdyna.statistics import holm
+from jaxdyna.statistics import holm, ratio_of_means
 
 PACKAGE = "jaxdyna.experiments"
 PROG = f"python -m {PACKAGE}.record"
@@ -350,7 +350,9 @@ def primary(book: Path, folder: Path) -> str:
 
 
 def _compared(said: Mapping[str, Any], folder: Path) -> Results | None:
-    """One comparison's `statistics.ratio_of_means`; None where it is not recorded as planned."""
+    """One comparison's `statistics.ratio_of_means`, as the table says, however many solve; None
+    where it is not recorded as planned.
+    """
     results = storage.read_json(folder / said["record"] / "results.json") or {}
     arms, runs = results.get("arms", {}), results.get("runs", {})
     if "unfinished" in results or not set(said["arms"]) <= arms.keys() or "of" not in runs:
@@ -359,8 +361,8 @@ def _compared(said: Mapping[str, Any], folder: Path) -> Results | None:
     planned = (said["seed"], said["budget"], list(range(said["runs"])))
     if (config["seed"], config["episodes"], runs["seeds"]) != planned:
         return None
-    one, other = said["arms"]
-    return compare({one: arms[one], other: arms[other]}, other, said["measure"])[one]
+    one, other = (restricted(figure_at(arms[name], said["measure"])) for name in said["arms"])
+    return ratio_of_means(one, other)
 
 
 if __name__ == "__main__":

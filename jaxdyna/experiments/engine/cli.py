@@ -239,21 +239,32 @@ def command(kind: type[O], prog: str, flags: str, more: str = "", bare: bool = F
         def main(argv: Sequence[str] | None = None) -> int:
             spell_out()
             argv = sys.argv[1:] if argv is None else argv
-            try:
+            with while_read(), refused(prog, argv):
                 if {"-h", "--help"} & set(argv) or not (argv or bare):
-                    print(f"usage: {prog} {flags}\n\n{kind.__doc__}{more}", flush=True)
+                    print(f"usage: {prog} {flags}\n\n{kind.__doc__}{more}")
                     return 0
-                with refused(prog, argv):
-                    code = run(read(kind, argv, prog), argv)
-                sys.stdout.flush()
-            except BrokenPipeError:  # who read it has read enough
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-                return 128 + signal.SIGPIPE
+                code = run(read(kind, argv, prog), argv)
             return code
 
         return main
 
     return made
+
+
+@contextlib.contextmanager
+def while_read() -> Iterator[None]:
+    """Where nobody reads on what is printed, the process ends silently, with SIGPIPE's code."""
+    try:
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        with contextlib.suppress(OSError):  # another pipe's than standard output's
+            sys.stdout.flush()
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(128 + signal.SIGPIPE) from None
 
 
 @contextlib.contextmanager

@@ -16,8 +16,8 @@ from jaxdyna.envs import register
 from jaxdyna.experiments.engine import storage, trained
 from jaxdyna.experiments.engine.experiment import Entry, Experiment, Study
 from jaxdyna.experiments.engine.record import FORMAT, recorded
-from jaxdyna.experiments.engine.trained import EPISODES, REAL, RETURN, Keeper, Trained
-from jaxdyna.experiments.engine.work import HOOKS, Curves, Engine, Runs, Work, runs_of
+from jaxdyna.experiments.engine.trained import EPISODES, REAL, RETURN, WHOSE, Keeper, Trained
+from jaxdyna.experiments.engine.work import DIVERGED, HOOKS, Curves, Engine, Runs, Work, runs_of
 from jaxdyna.experiments.report import frames
 from jaxdyna.fields import check_counts
 from jaxdyna.watched import Scene, Shot
@@ -70,13 +70,17 @@ class Loaded:
     @cached_property
     def kept(self) -> dict[str, list[int]]:
         """The seeds whose policy and dreams can be had, by arm."""
-        seeds, none = np.array(self.results["runs"]["seeds"]), np.array(np.nan)
-        if self.stage is not None:
-            return {
-                arm: seeds.tolist() for arm in self.curves if self.entries[arm].make().work.trained
-            }
-        found = {arm: np.isfinite(one.get(RETURN, none)) for arm, one in self.curves.items()}
+        seeds = np.array(self.results["runs"]["seeds"])
+        found = {arm: self._there(arm, one) for arm, one in self.curves.items()}
         return {arm: seeds[which].tolist() for arm, which in found.items() if which.any()}
+
+    def _there(self, arm: str, own: Curves) -> np.ndarray:
+        """Of which runs it can be had, bool ``[runs]``, or one for all."""
+        if self.stage is None:
+            return np.isfinite(own.get(RETURN, np.array(np.nan)))
+        broken = own.get(DIVERGED, np.zeros((len(self.results["runs"]["seeds"]), 1)))
+        acts = self.entries[arm].make().work.trained is not None
+        return np.array([acts and not (run[: self.stage] > 0).any() for run in broken])
 
     def trained(self, arm: str, seed: int | None = None) -> Trained:
         """What a run has learned, by default the first that is kept of its arm. `ValueError` where
@@ -151,25 +155,26 @@ class Loaded:
             raise ValueError(f"the arm {arm} keeps no policy: it acts by planning")
         seed = seed if seed is not None or not seeds else seeds[0]
         if seed not in seeds:
-            raise ValueError(f"of {arm} in {self.folder} the seeds {seeds} are kept, not {seed}: "
-                             "--keep-runs says of how many runs")  # fmt: skip
+            why = (
+                "--keep-runs says of how many runs" if self.stage is None else "others broke before"
+            )
+            raise ValueError(
+                f"of {arm} in {self.folder} the seeds {seeds} are kept, not {seed}: {why}"
+            )
         runs = runs_of([made], [seed], self.options.seed)
         row = self.results["runs"]["seeds"].index(seed)
         hparams = jax.tree.map(itemgetter(0), runs.hparams)
-        own = {name: self.curves[arm][name][row] for name in (REAL, RETURN)}
-        if self.stage is not None:
-            kept = self._again(made.work, runs, min(self.stage, np.isfinite(own[REAL]).sum()))
-        else:
+        own = {name: values[row] for name, values in self.curves[arm].items() if name in WHOSE}
+        if self.stage is None:
             kept = trained.read(self.folder, arm, seed, own)
+        else:
+            kept = self._again(made.work, runs, min(self.stage, np.isfinite(own[REAL]).sum()))
         keeper = Keeper(made.work.init, made.work.trained, hparams)
         if said := keeper.differs(kept):
             raise ValueError(f"{arm} in {self.folder} was kept by another version: {said}")
         return keeper, kept, jax.random.fold_in(runs.judging[0], HOOKS.index("keep")), hparams
 
     def _again(self, work: Work, runs: Runs, units: int) -> Mapping[str, Any]:
-        """What one run has learned after so many units; `ValueError` where it breaks before."""
+        """What one run has learned after so many units."""
         played = Engine(keep=runs.seed[0] + 1).play(work, runs._replace(units=np.array([units])))
-        kept, _ = trained.apart(played.curves[0])
-        if not kept:
-            raise ValueError(f"its numbers stopped being finite before episode {units}")
-        return kept
+        return trained.apart(played.curves[0])[0]

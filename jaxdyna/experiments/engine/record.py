@@ -132,9 +132,8 @@ def write_report(experiment: Experiment, record: Record) -> str:
         text = re.sub(rf"(?<!\w){re.escape(name)}", label(name), text)  # not the names of files
     text = paragraphs(*head, text) + "\n"
     storage.write_text(record.out / "report.md", text)
-    rule = experiment.rule(record.options)
-    solved = rule.threshold if rule and rule.share_of is None else None
-    storage.write_text(record.out / folders.PAGE, page(record, text, solved))
+    whole = page(record, text, experiment.rule(record.options))
+    storage.write_text(record.out / folders.PAGE, whole)
     return text
 
 

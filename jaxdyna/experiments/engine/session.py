@@ -64,7 +64,7 @@ def main(
     argv, said = taken(argv)
     prog = prog or _prog()
     processes = Processes()
-    with ExitStack() as stack:
+    with cli.while_read(), ExitStack() as stack:
         with cli.refused(prog, argv):
             if said is not None:
                 processes.found(said, stack)

@@ -33,7 +33,7 @@ EPISODES, STARTS = 100, 256  #: in which a kept policy is judged; of kept dreams
 #: where files are, and how the names of a run's arrays begin that go there
 FOLDER, KEPT = "kept", "kept/"
 #: what a kept policy earns, and what its run earned in each real episode
-RETURN, REAL = "kept_return", "real_return"
+RETURN, REAL = WHOSE = "kept_return", "real_return"
 
 
 class Trained(NamedTuple):

@@ -137,7 +137,7 @@
       `<text class="said" x="${x}" y="${y}" text-anchor="${anchor}">${words}</text>`;
     const solved = measure.solved === null ? [] : [
       `<path class="solved" d="M${size.left} ${y(height(measure.solved))}H${size.right}"/>`,
-      said(size.left + 4, y(height(measure.solved)) - 4, `solved: ${measure.solved}`, "start")];
+      said(size.right, y(height(measure.solved)) - 4, told.rule, "end")];
     const axes = [said(4, 12, measure.name, "start"),
       said(size.right, size.high - 8, "real episodes", "end")];
     const drawn = [...up, ...across, ...bands, ...singles, ...means, ...solved, ...axes].join("");

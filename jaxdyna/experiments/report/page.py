@@ -22,7 +22,7 @@ from markdown_it.token import Token
 from PIL import Image
 
 from jaxdyna.experiments.report import plots, tables
-from jaxdyna.statistics import running_mean
+from jaxdyna.statistics import SolveRule, running_mean
 
 #: of all curves and of all figures, as they stand in the page
 CURVES_BYTES, FIGURES_BYTES = 230_000, 200_000
@@ -43,9 +43,9 @@ LOGARITHMIC = 1000
 RETURN = "real_return"
 
 
-def page(record: Any, text: str, solved: float | None = None) -> str:
+def page(record: Any, text: str, rule: SolveRule | None = None) -> str:
     """A record's report, of ``text`` in Markdown and its folder's figures, curves before these;
-    ``solved``: the mean return at which runs have, a line among these.
+    the return at which runs have solved is a line among these.
     """
     markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
     markdown.add_render_rule("image", _captioned)
@@ -55,7 +55,7 @@ def page(record: Any, text: str, solved: float | None = None) -> str:
     parts = [markdown.parse(part) for part in (before, figure + after)]
     _embed(parts[1], record.out)
     head, rest = (markdown.renderer.render(part, markdown.options, {}) for part in parts)
-    told = json.dumps(curves(record, solved)).replace("<", "\\u003c")
+    told = json.dumps(curves(record, rule)).replace("<", "\\u003c")
     title = html.escape(text.splitlines()[0].strip("# ").replace("`", ""))
     own = (Path(__file__).with_name(f"page.{kind}") for kind in ("html", "css", "js"))
     whole, style, script = (path.read_text("utf-8") for path in own)
@@ -97,7 +97,7 @@ def _data(path: Path, width: int) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 
-def curves(record: Any, solved: float | None = None) -> Mapping[str, Any]:
+def curves(record: Any, rule: SolveRule | None = None) -> Mapping[str, Any]:
     """What the script draws; nothing where nothing was played in episodes.
 
     Returns:
@@ -105,7 +105,8 @@ def curves(record: Any, solved: float | None = None) -> Mapping[str, Any]:
         or what they go ``by``; ``episodes`` at which curves are told; ``measures``, each with its
         ``lowest`` and ``highest`` value, whether its heights are ``orders``, of its logarithm,
         ``arms``: number, points and single runs of each that has it, and of returns what is
-        ``solved``; ``packed``: the lines of all these in turn, see `_lines` and `_heights`.
+        ``solved``, by the ``rule`` in words; ``packed``: the lines of all these in turn, see
+        `_lines` and `_heights`.
     """
     played = {arm: own for arm, own in record.curves.items() if RETURN in own}
     longest = max((own[RETURN].shape[1] for own in played.values()), default=0)
@@ -115,6 +116,7 @@ def curves(record: Any, solved: float | None = None) -> Mapping[str, Any]:
                if name in own and own[name].shape == own[RETURN].shape}
         for name in dict.fromkeys([RETURN, *(name for own in played.values() for name in own)])
     }  # fmt: skip
+    solved = rule.threshold if rule and rule.share_of is None else None
     orders = {name: name != RETURN and _orders(arms) for name, arms in measures.items()}
     for points, runs, fewer, most in SIZES:
         at = np.unique(np.linspace(1, longest, min(points, longest)).round().astype(int))
@@ -136,6 +138,7 @@ def curves(record: Any, solved: float | None = None) -> Mapping[str, Any]:
                  for arm, (color, line) in looks],
         "runs": record.results["runs"]["seeds"], "by": record.results["runs"].get("by", "seed"),
         "more": len(played) - len(looks), "episodes": at.tolist(), "window": window,
+        "rule": rule and f"solved: mean of {rule.window} at {rule.threshold:g}",
         "shaded": plots.shaded(record.results["runs"]["seeds"]), "heights": HEIGHTS,
         "measures": [measure for measure, _ in told], "packed": packed.decode(),
     } if told else {}  # fmt: skip

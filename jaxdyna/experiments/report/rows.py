@@ -5,9 +5,8 @@ from typing import Any
 
 from jaxdyna.experiments.report import plots, tables
 from jaxdyna.experiments.report.sections import paragraphs, told
-from jaxdyna.experiments.report.summaries import FIRST_DREAMS, restricted
+from jaxdyna.experiments.report.summaries import FIRST_DREAMS, ratio_of
 from jaxdyna.experiments.report.tables import Results, figure_at, per_seed, whole
-from jaxdyna.statistics import ratio_of_means
 
 
 @told
@@ -117,6 +116,6 @@ def limit(arms: Mapping[str, Results], column: str) -> int:
 
 def _ratio(solve: Results, first: Results) -> str:
     """To the first row's, run by run, in words."""
-    ratio = ratio_of_means(restricted(solve), restricted(first), paired=True)
+    ratio = ratio_of(solve, first, paired=True)
     said, ends = tables.number(ratio["ratio"], 2), tables.interval(ratio["ci95"], 2)
     return said if ends == "-" else f"{said} ({ends}; p {ratio['p']:.3f})"

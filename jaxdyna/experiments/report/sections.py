@@ -11,7 +11,14 @@ import numpy as np
 
 from jaxdyna import fields
 from jaxdyna.experiments.report import frames, plots, tables
-from jaxdyna.experiments.report.summaries import HELD_EPISODES, break_even, comparison, comparisons
+from jaxdyna.experiments.report.summaries import (
+    AS_BUSY,
+    HELD_EPISODES,
+    baseline_of,
+    break_even,
+    comparison,
+    comparisons,
+)
 from jaxdyna.experiments.report.tables import Results, markdown_table, paragraphs, runs
 from jaxdyna.statistics import FEW, brunner_munzel, episodes_to_solve, mean_of_runs, summarise
 
@@ -24,6 +31,7 @@ COUNTED = (
 )
 NONE_OF_FEW = "Figures of solving have no interval: of five runs or fewer none can be trusted."
 QUANTILES = (5, 50, 95, 99)
+BOTH = "dyna", "model_free"  #: that are compared first of all
 LOWERED = np.linspace(0.5, 1, 11)  #: shares of a rule's threshold
 #: curves of how wrong a model is one step ahead: `jaxdyna.models.evaluation.frame_errors`
 WRONG = {
@@ -151,43 +159,55 @@ def thresholds(record: Any, rule: Rule) -> str:
     lowered = [replace(solves, threshold=float(share * solves.threshold)) for share in LOWERED]
 
     def needed(curves: Mapping[str, np.ndarray]) -> np.ndarray:
-        found = [episodes_to_solve(one.score(curves), one) for one in lowered]
-        return np.minimum(np.stack(found, axis=-1), budget)
+        return np.stack([episodes_to_solve(one.score(curves), one) for one in lowered], axis=-1)
 
-    lines = {name: needed(curves) for name, curves in drawn(record, ()).items()}
+    every = {name: needed(curves) for name, curves in drawn(record, ()).items()}
+    lines = {name: np.minimum(values, budget) for name, values in every.items()}
     axis = "threshold, as a share of the rule's"
     axes = axis, f"episodes to solve: mean, {plots.shaded(next(iter(lines.values())))}"
     if not plots.bands(record.out / "thresholds.png", {"": lines}, *axes, at=LOWERED):
         return ""
     said = ""
-    if {"dyna", "model_free"} <= lines.keys():
-        ratios = lines["dyna"].mean(0) / lines["model_free"].mean(0)
-        said = "; ".join(f"{share:.2f}: {ratio:.2f}" for share, ratio in
-                         list(zip(LOWERED, ratios, strict=True))[::2])  # fmt: skip
-        said = f"dyna's episodes over model_free's where a lower threshold is asked for: {said}."
+    if {*BOTH} <= lines.keys():
+        ratios = lines[BOTH[0]].mean(0) / lines[BOTH[1]].mean(0)
+        known = [2 * np.isfinite(every[name]).sum(0) >= len(every[name]) for name in BOTH]
+        told = [
+            f"{share:.2f}: {ratio:.2f}"
+            for share, ratio, some in zip(LOWERED, ratios, np.any(known, axis=0), strict=True)
+            if some
+        ][::2]
+        said = "dyna's episodes over model_free's where a lower threshold is asked for"
+        said = f"{said}: {'; '.join(told)}." if told else ""
     return paragraphs("![episodes to solve against the threshold](thresholds.png)", said)
 
 
 def area(record: Any) -> str:
-    """The area under each arm's learning curve up to where the first run of any arm ends, each
-    tested against the first arm's.
+    """The area under each arm's learning curve up to where the first run of any arm ends, tested
+    against the same arms as its figures of solving.
     """
     returns = {name: curves["real_return"] for name, curves in record.curves.items()}
     if len(returns) < 2:
         return ""
     end = min(int(np.isfinite(values).sum(1).min()) for values in returns.values())
     areas = {name: values[:, :end].mean(1) for name, values in returns.items()}
-    (base, first), *others = areas.items()
-    said = [f"{base} {tables.with_interval(mean_of_runs(first), 1)}"]
-    for name, values in others:
-        p = brunner_munzel(values, first)
-        tested = "" if p is None else f", {tables.p_value(p)}"
-        said.append(f"{name} {tables.with_interval(mean_of_runs(values), 1)}{tested}")
-    against = "" if len(first) <= FEW else f" (p: against {base}, by Brunner and Munzel's test)"
+    tests = {name: _against(name, areas, record.results["arms"]) for name in areas}
+    said = [f"{name} {tables.with_interval(mean_of_runs(values), 1)}{tests[name]}"
+            for name, values in areas.items()]  # fmt: skip
+    how = " (Brunner and Munzel's test)" if any(tests.values()) else ""
     return (
         "Without a threshold, the area under the learning curve: the mean return of the first "
-        f"{end} real episodes, as many as every run has played{against}: {'; '.join(said)}."
+        f"{end} real episodes, as many as every run has played: {'; '.join(said)}{how}."
     )
+
+
+def _against(name: str, areas: Mapping[str, np.ndarray], arms: Results) -> str:
+    """The p of an arm's areas ``[seeds]``, in words, against those it is compared with."""
+    entry, said = {"arm": name} | arms.get(name, {}), ""
+    for other in ("model_free", *(AS_BUSY if entry["arm"] == "dyna" else ())):
+        base = baseline_of(entry, other)
+        p = brunner_munzel(areas[name], areas[base]) if base in areas and base != name else None
+        said += "" if p is None else f", {tables.p_value(p)} against {base}"
+    return said
 
 
 def _never(record: Any) -> str:

@@ -14,6 +14,7 @@ from jaxdyna.statistics import SolveRule, last_mean, mean_of_runs, summarise
 Curves = Mapping[str, np.ndarray]
 FIRST_DREAMS = 100
 HELD_EPISODES = 50
+AS_BUSY = "more_updates", "max_updates"  #: arms that learn as often as ``dyna``, of real steps
 UNITS = {
     "episodes_to_solve": "episodes",
     "real_steps_to_solve": "real steps before the solving window",
@@ -77,18 +78,22 @@ def first_dreams(options: Any, curves: Curves) -> Results:
 
 
 def compare(arms: Results, baseline: str, figure: str = "episodes_to_solve") -> Results:
-    """`statistics.ratio_of_means` of each arm's figure, by its dotted path, to the baseline's in
-    the same setting; unsolved runs count with what they played: the ratio of restricted means, but
-    where both are `hardly_solved`.
-    """
+    """`ratio_of` each arm's figure, by its dotted path, to the baseline's in the same setting."""
     ratios = {}
     for name, arm in arms.items():
         other = baseline_of(arm, baseline)
         mine, theirs = figure_at(arm, figure), figure_at(arms.get(other, {}), figure)
         if mine and theirs and name != other:
-            of = per_seed if hardly_solved(mine, theirs) else restricted
-            ratios[name] = statistics.ratio_of_means(of(mine), of(theirs))
+            ratios[name] = ratio_of(mine, theirs)
     return ratios
+
+
+def ratio_of(mine: Results, theirs: Results, paired: bool = False) -> Results:
+    """`statistics.ratio_of_means` of two figures of solving: of restricted means, in which unsolved
+    runs count with what they played; none where both are `hardly_solved`.
+    """
+    of = per_seed if hardly_solved(mine, theirs) else restricted
+    return statistics.ratio_of_means(of(mine), of(theirs), paired)
 
 
 def hardly_solved(*figures: Results) -> bool:
@@ -145,8 +150,8 @@ def break_even(results: Results) -> tuple[float, float, float] | None:
     Returns:
         Seconds of computing that a run of ``dyna`` takes beyond one of ``model_free``, the real
         steps before the solving window that it saves (restricted means), and the one over the other
-        in milliseconds a real step. None where seconds are not known, where nothing is saved, or no
-        run of ``dyna`` has solved.
+        in milliseconds a real step. None where seconds are not known, where nothing is saved, where
+        no run of ``dyna`` has solved, or both are `hardly_solved`.
 
     Seconds are a core's, or a device's, of whole runs, as long as they were played: where these go
     on after they have solved, dreams are charged for that as well.
@@ -156,12 +161,13 @@ def break_even(results: Results) -> tuple[float, float, float] | None:
     seconds = [spent.get("arms", {}).get(name, {}).get("run_s") for name in both]
     if None in seconds or spent.get("shards", 1) > 1 or not {*both} <= arms.keys():
         return None
-    if not arms["dyna"]["real_steps_to_solve"].get("solved"):
+    figures = [arms[name]["real_steps_to_solve"] for name in both]
+    if not figures[0].get("solved") or hardly_solved(*figures):
         return None
     runs, block = len(results["runs"]["seeds"]), results["runs"]["block"]
     workers = device["cpu_cores"] if device["platform"] == "cpu" else device["count"]
     each = [one * min(workers, -(-runs // block)) / runs for one in seconds]
-    steps = [restricted(arms[name]["real_steps_to_solve"]).mean() for name in both]
+    steps = [restricted(figure).mean() for figure in figures]
     extra, saved = each[0] - each[1], float(steps[1] - steps[0])
     return (extra, saved, 1000 * max(extra, 0.0) / saved) if saved > 0 else None
 
@@ -178,7 +184,7 @@ def comparisons(
 ) -> list[str]:
     """The ratios to ``model_free``, and of our dreams to as many updates without them."""
     arms, lines = results["arms"], comparison(results, paper, figure=figure)
-    for other in ("more_updates", "max_updates"):
+    for other in AS_BUSY:
         both = {name: arms[name] for name in ("dyna", other) if name in arms}
         lines += comparison({"arms": both}, {}, other, figure) if len(both) > 1 else []
     return list(dict.fromkeys(lines))
