@@ -36,6 +36,11 @@ def _no(flag):
     return "--" + ".".join([*owners, f"no-{name}"])
 
 
+def test_another_broken_pipe_is_an_error():
+    with pytest.raises(BrokenPipeError), cli.while_read():
+        raise BrokenPipeError  # such as that of a process which makes a film
+
+
 @pytest.mark.parametrize("command", ["merge", "cartpole"])
 def test_a_command_ends_silently_where_nobody_reads_on(command):
     words = [sys.executable, "-m", f"jaxdyna.experiments.{command}", "--help"]

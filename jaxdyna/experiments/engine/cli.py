@@ -258,13 +258,14 @@ def while_read() -> Iterator[None]:
         try:
             yield
         finally:
-            sys.stdout.flush()
+            print(end="", flush=True)
     except BrokenPipeError:
-        with contextlib.suppress(OSError):  # another pipe's than standard output's
-            sys.stdout.flush()
-            raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise SystemExit(128 + signal.SIGPIPE) from None
+        try:
+            print(end="", flush=True)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise SystemExit(128 + signal.SIGPIPE) from None
+        raise  # another pipe's than standard output's
 
 
 @contextlib.contextmanager
