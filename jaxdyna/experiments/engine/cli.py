@@ -6,6 +6,7 @@ import dataclasses
 import io
 import os
 import re
+import select
 import shutil
 import signal
 import sys
@@ -74,6 +75,7 @@ class Call:
 
 
 ENDS = signal.SIGINT, signal.SIGTERM
+STDOUT = 1  #: its file descriptor
 NOT_SWEPT = {leaf.path.rstrip("_") for kind in (Call, Options) for leaf in fields.leaves(kind())}
 
 
@@ -260,12 +262,12 @@ def while_read() -> Iterator[None]:
         finally:
             print(end="", flush=True)
     except BrokenPipeError:
-        try:
-            print(end="", flush=True)
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise SystemExit(128 + signal.SIGPIPE) from None
-        raise  # another pipe's than standard output's
+        poll = select.poll()
+        poll.register(STDOUT, 0)
+        if not any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0)):
+            raise  # it was another pipe
+        os.dup2(os.open(os.devnull, os.O_WRONLY), STDOUT)
+        raise SystemExit(128 + signal.SIGPIPE) from None
 
 
 @contextlib.contextmanager
