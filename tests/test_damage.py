@@ -6,6 +6,7 @@ import errno
 import importlib
 import json
 import shutil
+import signal
 from functools import partial
 
 import numpy as np
@@ -21,7 +22,16 @@ from test_engine import (
     stopping_after,
 )
 
-from jaxdyna.experiments.engine import Engine, Experiment, Options, checkpoint, main, storage, work
+from jaxdyna.experiments.engine import (
+    Engine,
+    Experiment,
+    Options,
+    checkpoint,
+    main,
+    session,
+    storage,
+    work,
+)  # fmt: skip
 from jaxdyna.experiments.engine.checkpoint import Store
 from jaxdyna.experiments.engine.work import Interrupted
 from jaxdyna.trees import difference
@@ -411,3 +421,16 @@ def test_the_code_is_the_packages_and_that_of_the_experiments_own_folder(tmp_pat
     assert before != storage.source(["own_study"])
     assert storage.source(["jaxdyna.experiments.catch.acting"]) == storage.source()
     assert storage.source(["builtins"]) == storage.source(["not a module"]) == storage.source()
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_report_is_drawn(sent, finished, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr(session, "write_report", lambda *_: signal.raise_signal(sent))
+        assert command(out) == 130
+    assert "--resume makes the report" in " ".join(capsys.readouterr().out.split())
+    assert not (out / "report.md").exists()
+    assert command(out, "--resume") == 0
+    assert (out / "report.md").exists()
+    assert_same_curves(out, curves(finished))

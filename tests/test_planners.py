@@ -451,7 +451,7 @@ def test_clear_errors(make, changes, complaint):
 def test_without_mctx_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "mctx", None)
     for make in (muzero, gumbel_muzero):
-        with pytest.raises(ImportError, match=r'pip install "jaxdyna\[planning\]"'):
+        with pytest.raises(ImportError, match=r"pip install 'jaxdyna\[planning\]'"):
             make(WORLD, SearchConfig())
 
 

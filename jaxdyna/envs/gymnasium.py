@@ -107,7 +107,7 @@ def check_atari() -> None:
         import ale_py  # noqa: PLC0415  (an extra that most people do without)
     except ImportError as error:
         raise ImportError(
-            "the real Atari games need ale-py: python -m pip install 'jaxdyna[atari]'"
+            "the real Atari games need ale-py: pip install 'jaxdyna[atari]'"
         ) from error
     ale_py.ALEInterface.setLoggerMode(ale_py.LoggerMode.Error)  # no banner for every copy
     gymnasium.register_envs(ale_py)

@@ -46,6 +46,8 @@ def main(call: Call, argv: Sequence[str]) -> int:
     """
     left, rows = load(call.folder), []
     left = left.at(call.stage) if call.stage else left
+    if call.stage:
+        print("Runs are played again up to there, which takes compiling first.", file=sys.stderr)
     seeds = left.results["runs"]["seeds"]
     with programs.kept():
         if call.film is not None:

@@ -152,5 +152,5 @@ def require_mctx() -> Any:
     try:
         import mctx  # noqa: PLC0415 - only this module needs it, and only when it is used
     except ImportError as error:
-        raise ImportError('tree search needs mctx: pip install "jaxdyna[planning]"') from error
+        raise ImportError("tree search needs mctx: pip install 'jaxdyna[planning]'") from error
     return mctx

@@ -7,10 +7,12 @@ import io
 import os
 import re
 import select
+import shlex
 import shutil
 import signal
 import sys
 import textwrap
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
@@ -198,10 +200,10 @@ def _shown(default: Any) -> list[Leaf]:
 def _flag(leaf: Leaf, width: int, words: Sequence[str], none: str) -> list[str]:
     words = [*words, *leaf.choices, *(one for one in get_args(leaf.hint) if isinstance(one, str))]
     value = fields.plain(leaf.value)
-    value = " ".join(map(str, value)) if isinstance(value, list) else value
+    value = " ".join(shlex.quote(str(one)) for one in value) if isinstance(value, list) else value
     value = none if value is None else value
     value = "" if value is False or value == "" else f"  [{value}]"
-    choice = f" {{{','.join(words)}}}" if words else ""
+    choice = f" {{{','.join(map(shlex.quote, words))}}}" if words else ""
     head = f"--{leaf.path.rstrip('_').replace('_', '-')}{choice}{value}"
     indented = partial(
         textwrap.wrap, width=width, subsequent_indent=" " * 6, break_long_words=False
@@ -285,8 +287,9 @@ def refused(
 
 @contextlib.contextmanager
 def receiving(handlers: Mapping[int, Any]) -> Iterator[None]:
-    """Who receives signals meanwhile, by their numbers; in the main thread alone."""
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    """Who receives signals meanwhile, by their numbers; nobody else outside the main thread."""
+    here = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, one) for number, one in handlers.items() if here}
     try:
         yield
     finally:

@@ -46,7 +46,7 @@ def load(folder: str | Path, *parts: Experiment | Study) -> Loaded:
     return Loaded(folder, experiment, results, options, curves, entries)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Loaded:
     """What a run left."""
 
@@ -59,6 +59,10 @@ class Loaded:
     curves: Mapping[str, Curves]
     entries: Mapping[str, Entry]  #: every arm that there can be, by name
     stage: int | None = None  #: the real episode after which runs are opened; None: their last
+
+    def __repr__(self) -> str:
+        kept = ", ".join(f"{arm}: {len(self.kept.get(arm, []))} kept" for arm in self.curves)
+        return f"<{self.folder}{f' at {self.stage}' if self.stage else ''}: {kept}>"
 
     def at(self, stage: int) -> Loaded:
         """The same after so many real episodes, or a run's own last: what is asked for is played

@@ -6,8 +6,8 @@ import gc
 import itertools
 import json
 import shlex
+import signal
 import sys
-import threading
 import time
 import zlib
 from collections import Counter
@@ -232,7 +232,8 @@ class Session:
                 self._stopped("Interrupted")
         if first and (self.curves or self.measured):
             try:
-                self._report()
+                with cli.receiving({signal.SIGTERM: signal.default_int_handler}):
+                    self._report()
             except KeyboardInterrupt:
                 code = 130
                 self.console.print("Interrupted. The same command with --resume makes the report.")
@@ -482,8 +483,7 @@ def _deferred_interrupt(engine: work.Engine) -> Iterator[None]:
             raise KeyboardInterrupt
         engine.interrupted.set()
 
-    main = threading.current_thread() is threading.main_thread()
-    with cli.receiving(dict.fromkeys(cli.ENDS, receive) if main else {}):
+    with cli.receiving(dict.fromkeys(cli.ENDS, receive)):
         yield
     if engine.interrupted.is_set():
         raise work.Interrupted

@@ -76,7 +76,7 @@ def check_film(path: Path) -> None:
     if not os.access(path.parent, os.W_OK):
         raise ValueError(f"cannot write {path}: name a folder that is there and may be written to")
     if path.suffix == ".mp4" and find_spec("imageio_ffmpeg") is None:
-        said = "name a .gif, or python -m pip install 'jaxdyna[film]'"
+        said = "name a .gif, or pip install 'jaxdyna[film]'"
         raise ValueError(f"films as MP4 need imageio-ffmpeg: {said}")
 
 
