@@ -232,7 +232,7 @@ class Session:
                 self._stopped("Interrupted")
         if first and (self.curves or self.measured):
             try:
-                with cli.receiving({signal.SIGTERM: signal.default_int_handler}):
+                with cli.receiving(dict.fromkeys(cli.ENDS, signal.default_int_handler)):
                     self._report()
             except KeyboardInterrupt:
                 code = 130
