@@ -66,7 +66,8 @@ class Loaded:
 
     def at(self, stage: int) -> Loaded:
         """The same after so many real episodes, or a run's own last: what is asked for is played
-        again up to there, kept or not, to the same bits on the same kind of machine.
+        again up to there, kept or not, to the same bits on the same kind of machine. Below 1 it is
+        `ValueError`.
         """
         check_counts(stage=stage)
         return replace(self, stage=stage)
