@@ -4,11 +4,13 @@ import fcntl
 import itertools
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import time
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -51,8 +53,10 @@ def begun(out, *arguments, **environment):
     )  # fmt: skip
 
 
-def together(out, number, *arguments, dies=0):
-    """Of each process: exit code, standard output and error, in the order of their numbers."""
+def together(out, number, *arguments, dies=0, until=None):
+    """Of each process: exit code, standard output and error, in the order of their numbers. Ctrl-C
+    reaches all of them once ``until`` is true.
+    """
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -61,6 +65,16 @@ def together(out, number, *arguments, dies=0):
               **({"DIES": ""} if one == dies else {}))
         for one in range(1, number + 1)
     ]  # fmt: skip
+    if until:
+        while not until():
+            assert all(process.poll() is None for process in every)
+            time.sleep(0.05)
+        for process in every:
+            process.send_signal(signal.SIGINT)
+    return ended(every)
+
+
+def ended(every):
     said = [process.communicate(timeout=300) for process in every]
     return [(process.returncode, *words) for process, words in zip(every, said, strict=True)]
 
@@ -119,10 +133,32 @@ def test_one_is_killed_and_others_go_on(dies, tmp_path):
 
 
 @pytest.mark.slow
-def test_bad_input_is_said_once(tmp_path):
-    first, second = together(tmp_path / "out", 2, "--seeds", "0")
-    assert first[0] == second[0] == 2 and second[1:] == ("", "")
-    assert first[2].count("error: --seeds") == 1 and not (tmp_path / "out").exists()
+def test_interrupted_together_and_resumed_is_uninterrupted(tmp_path):
+    """Each saves what it plays, and one line says how to go on."""
+    whole, out = alone(tmp_path / "whole", "--episodes", "120"), tmp_path / "out"
+    saved = partial(out.glob, "checkpoints/*/run*.npz")
+    done = together(out, 2, "--episodes", "120", until=lambda: any(saved()))
+    assert [code for code, *_ in done] == [130, 130] and not done[0][2] + done[1][1] + done[1][2]
+    said = " ".join(done[0][1].split())
+    assert said.count(f"Interrupted. What is finished is in {out}; the same command with") == 1
+    assert any(saved()) and not (out / "curves.npz").exists()
+    assert [code for code, *_ in together(out, 2, "--episodes", "120", "--resume")] == [0, 0]
+    same(out, whole)
+
+
+@pytest.mark.slow
+def test_bad_input_is_said_where_it_was_typed(tmp_path):
+    """By each process that was started by itself; once where a cluster started all alike."""
+    for one in together(tmp_path / "out", 2, "--seeds", "0"):
+        assert one[:2] == (2, "") and one[2].count("error: --seeds") == 1
+    cluster = {"SLURM_JOB_ID": "1", "SLURM_STEP_NODELIST": "localhost", "SLURM_NTASKS": "2"}
+    first, second = ended([
+        begun(tmp_path / "out", "--seeds", "0", "--distributed", **cluster, SLURM_PROCID=number,
+              SLURM_LOCALID=number)
+        for number in "01"
+    ])  # fmt: skip
+    assert first[2].count("error: --seeds") == 1 and second == (2, "", "")
+    assert first[0] == 2 and not (tmp_path / "out").exists()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("")
     first, second = together(tmp_path / "mine", 2)

@@ -1,5 +1,6 @@
 """Gymnasium's worlds as environments: a world with a script, then CartPole both ways."""
 
+import gc
 from dataclasses import dataclass
 from functools import cache, partial
 
@@ -59,6 +60,13 @@ class Moody(Script):
     def reset(self, **how):
         self.past = Script.resets
         return super().reset(**how)
+
+
+class Closing(Script):
+    closed = 0
+
+    def close(self):
+        Closing.closed += 1
 
 
 def vector(mode, lanes=3):
@@ -145,6 +153,15 @@ def test_time_limits_truncate_the_worlds_and_those_of_params():
 def test_too_few_worlds_are_said():
     with pytest.raises(Exception, match="num_envs is 2: more episodes are played at once"):
         play(from_gymnasium(Script, 2), 3)
+
+
+def test_worlds_are_closed_with_their_environment():
+    env, Closing.closed = from_gymnasium(Closing, 8), 0
+    env.host.begin(np.arange(3))
+    assert len(env.host.every) == 3 and not Closing.closed
+    del env
+    gc.collect()
+    assert Closing.closed == 3
 
 
 def test_lanes_of_a_vector_are_not_left_behind():

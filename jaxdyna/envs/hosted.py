@@ -7,6 +7,7 @@ answer, whoever asks in whatever order, and equal episodes (of a swept setting) 
 """
 
 import threading
+import weakref
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -239,6 +240,7 @@ class Host:
         self.every = [self.first]  # what was begun longest ago first
         self.standing: dict[bytes, list[tuple[Worlds, int]]] = {}
         self.said: dict[bytes, tuple[bytes, np.ndarray]] = {}
+        weakref.finalize(self, _close, self.every)  # with the process, at the latest
 
     def begin(self, seeds: Any) -> tuple[np.ndarray, np.ndarray]:
         """Episodes of these seeds ``[...]``: `ANSWER`, whose names count, and what is seen."""
@@ -331,6 +333,11 @@ class Host:
         said, obs = zip(*answers, strict=True)
         packed = np.frombuffer(b"".join(said), np.uint32).reshape((*lead, 5))
         return packed, np.stack(obs).reshape((*lead, *self.first.space.shape))
+
+
+def _close(every: Sequence[Worlds]) -> None:
+    for worlds in every:
+        worlds.env.close()
 
 
 def _digest(what: bytes, obs: np.ndarray) -> bytes:

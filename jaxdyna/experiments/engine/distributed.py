@@ -79,8 +79,8 @@ class Processes:
         return [row for row in range(count) if row // block % self.of == self.number - 1]
 
     def found(self, said: str, stack: ExitStack) -> None:
-        """Finds out who this one is; what others than the first say of a bad command line is
-        dropped until they meet. `ValueError` where nothing says which processes there are.
+        """Finds out who this one is. Where a cluster gave all the same command line, only the
+        first says what is bad about it. `ValueError` where nothing says which processes there are.
 
         Args:
             said: by ``--distributed``, as `taken` gives it.
@@ -107,7 +107,7 @@ class Processes:
         if visible:
             jax.config.update("jax_cuda_visible_devices", visible)
             jax.config.update("jax_rocm_visible_devices", visible)
-        if not self.first:
+        if not (self.first or said):
             stack.enter_context(self.hushed).enter_context(redirect_stderr(StringIO()))
         threading.Thread(target=self._listen, daemon=True).start()
 
