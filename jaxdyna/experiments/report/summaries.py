@@ -150,8 +150,8 @@ def break_even(results: Results) -> tuple[float, float, float] | None:
     Returns:
         Seconds of computing that a run of ``dyna`` takes beyond one of ``model_free``, the real
         steps before the solving window that it saves (restricted means), and the one over the other
-        in milliseconds a real step. None where seconds are not known, where nothing is saved, where
-        no run of ``dyna`` has solved, or both are `hardly_solved`.
+        in milliseconds a real step. None where seconds are not known, where nothing is saved or the
+        two are not told apart, where no run of ``dyna`` has solved, or both are `hardly_solved`.
 
     Seconds are a core's, or a device's, of whole runs, as long as they were played: where these go
     on after they have solved, dreams are charged for that as well.
@@ -167,9 +167,11 @@ def break_even(results: Results) -> tuple[float, float, float] | None:
     runs, block = len(results["runs"]["seeds"]), results["runs"]["block"]
     workers = device["cpu_cores"] if device["platform"] == "cpu" else device["count"]
     each = [one * min(workers, -(-runs // block)) / runs for one in seconds]
-    steps = [restricted(figure).mean() for figure in figures]
-    extra, saved = each[0] - each[1], float(steps[1] - steps[0])
-    return (extra, saved, 1000 * max(extra, 0.0) / saved) if saved > 0 else None
+    steps = [restricted(figure) for figure in figures]
+    extra, saved = each[0] - each[1], float(steps[1].mean() - steps[0].mean())
+    if saved <= 0 or (statistics.ratio_of_means(*steps)["p"] or 0.0) > 0.05:
+        return None
+    return extra, saved, 1000 * max(extra, 0.0) / saved
 
 
 def verdict(p: float | None, ci90: Sequence[float] | None) -> str:
