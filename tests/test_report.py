@@ -222,8 +222,9 @@ def test_what_a_real_step_has_to_cost_by_hand(tmp_path):
     assert break_even(on_one) == pytest.approx((4, 1, 4000))
     swapped = dict(zip(arms, reversed(arms.values()), strict=True))
     assert break_even(results | {"arms": swapped}) is None  # they save nothing
-    noisy = {name: {"real_steps_to_solve": summarise(np.array(steps), at_least=9)} for name, steps in (
-        ("dyna", [1.0, 9, 2, 8, 3, 7, 4]), ("model_free", [2.0, 9, 1, 9, 4, 7, 4]))}  # fmt: skip
+    steps = {"dyna": [1.0, 9, 2, 8, 3, 7, 4], "model_free": [2.0, 9, 1, 9, 4, 7, 4]}
+    noisy = {name: {"real_steps_to_solve": summarise(np.array(own), at_least=9)}
+             for name, own in steps.items()}  # fmt: skip
     assert break_even(results | {"arms": noisy}) is None  # nor what is not told apart from nothing
     hardly = {name: {"real_steps_to_solve": {**arm["real_steps_to_solve"], "solved": 2}}
               for name, arm in arms.items()}  # fmt: skip

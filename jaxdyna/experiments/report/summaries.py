@@ -167,9 +167,9 @@ def break_even(results: Results) -> tuple[float, float, float] | None:
     runs, block = len(results["runs"]["seeds"]), results["runs"]["block"]
     workers = device["cpu_cores"] if device["platform"] == "cpu" else device["count"]
     each = [one * min(workers, -(-runs // block)) / runs for one in seconds]
-    steps = [restricted(figure) for figure in figures]
-    extra, saved = each[0] - each[1], float(steps[1].mean() - steps[0].mean())
-    if saved <= 0 or (statistics.ratio_of_means(*steps)["p"] or 0.0) > 0.05:
+    with_it, without = (restricted(figure) for figure in figures)
+    extra, saved = each[0] - each[1], float(without.mean() - with_it.mean())
+    if saved <= 0 or (statistics.ratio_of_means(with_it, without)["p"] or 0.0) > 0.05:
         return None
     return extra, saved, 1000 * max(extra, 0.0) / saved
 
