@@ -328,8 +328,8 @@ def test_a_rung_is_one_step_away_from_one_of_its_ends():
         name: setup.dyna.dream_updates * setup.dyna.dream_episodes * setup.dyna.dream_steps
         for name, setup in table.items()
     }
-    assert dreamed["paper"] == dreamed[f"paper with {SHORT}"] == 160
-    assert dreamed["tuned"] == dreamed[f"tuned without {SHORT}"] == 2000
+    assert dreamed["paper"] == dreamed[f"paper with {SHORT}"] == 120
+    assert (dreamed["tuned"], dreamed[f"tuned without {SHORT}"]) == (2000, 33 * 60)  # whole dreams
 
 
 def test_a_model_free_agent_notices_every_step_that_it_is_played_with():

@@ -147,8 +147,8 @@ LADDER = Study(
     of=MAZE, preset="paper", rows=ladder,
     common={
         "episodes": 300, "stop_after_solved": 0,
-        "size": 10, "obstacles": 3, "steps": 80, "coder_kernels": (3, 3, 3),  # as on a larger board
-        "agent.updates": 80, "agent.fake_updates": 80,  # one a step
+        "size": 8, "obstacles": 3, "steps": 60, "coder_kernels": (3, 3, 3),  # the board of `levers`
+        "agent.updates": 60, "agent.fake_updates": 60,  # one a step
         "hparams.agent.epsilon_episodes": 200.0,
     },
     sections=(rows(), final, report.settings, report.spent))  # fmt: skip
