@@ -295,6 +295,35 @@ def test_pytorchs_dyna_solves_cartpole_as_soon_as_ours():
     assert all(min(ours) <= one <= max(ours) for one in theirs), theirs
 
 
+@pytest.mark.parametrize("world", frames.WORLDS)
+def test_pytorch_learns_from_frames_by_the_presets_counts(world):
+    """And with networks of as many weights."""
+    pytest.importorskip("torch"), pytest.importorskip("ale_py")
+    rival = others.rival("torch_frames")
+    theirs, (preset, arms, arm) = getattr(rival, world.upper()), frames.WORLDS[world]
+    ours, setup = arms(preset.resolved())[arm].args[0], preset.resolved()
+    dyna, agent, hparams = setup.dyna, setup.agent, setup.hparams
+    expected = {
+        "model_updates": dyna.model_updates, "updates": agent.updates,
+        "fake_updates": agent.fake_updates, "dream_episodes": dyna.dream_episodes,
+        "dream_steps": dyna.dream_steps, "capacity": dyna.num_episodes * dyna.num_steps,
+        "fake_capacity": agent.fake_capacity, "double": agent.double,
+        "discount": hparams.agent.discount, "target_rate": hparams.agent.target_rate,
+        "priority": hparams.agent.priority_exponent,
+        "learning_rate": hparams.agent.learning_rate,
+    }  # fmt: skip
+    assert {name: getattr(theirs, name) for name in expected} == expected
+    assert (dyna.dream_updates, dyna.model_batch, agent.batch) == (1, rival.BATCH, rival.BATCH)
+    learner, key = rival.Learner(theirs), jax.random.key(0)
+    assert learner.model.rate == hparams.model.learning_rate
+    for network, params in (
+        (learner.values, ours.agent.init(key, hparams.agent).params),
+        (learner.model, ours.model.init(key, hparams.model).params),
+    ):
+        weights = sum(weight.numel() for weight in network.parameters())
+        assert weights == sum(leaf.size for leaf in jax.tree.leaves(params["params"]))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("world", ["MAZE", "PONG"])
 def test_pytorch_learns_from_frames(world):

@@ -64,9 +64,9 @@ def maze_values(actions: int) -> nn.Module:
 def pong_values(actions: int) -> nn.Module:
     """Three convolutions without padding and a dense layer, from ``[N, 12, 40, 40]``."""
     return nn.Sequential(
-        nn.Conv2d(12, 8, 12, stride=4), nn.BatchNorm2d(8), nn.ReLU(),
-        nn.Conv2d(8, 16, 3), nn.BatchNorm2d(16), nn.ReLU(),
-        nn.Conv2d(16, 16, 3), nn.BatchNorm2d(16), nn.ReLU(),
+        nn.Conv2d(12, 8, 12, stride=4, bias=False), nn.BatchNorm2d(8), nn.ReLU(),
+        nn.Conv2d(8, 16, 3, bias=False), nn.BatchNorm2d(16), nn.ReLU(),
+        nn.Conv2d(16, 16, 3, bias=False), nn.BatchNorm2d(16), nn.ReLU(),
         nn.Flatten(), nn.Linear(16 * 16, 128), nn.ReLU(), nn.Linear(128, actions),
     )  # fmt: skip
 
