@@ -314,6 +314,7 @@ def test_pytorch_learns_from_frames_by_the_presets_counts(world):
     }  # fmt: skip
     assert {name: getattr(theirs, name) for name in expected} == expected
     assert (dyna.dream_updates, dyna.model_batch, agent.batch) == (1, rival.BATCH, rival.BATCH)
+    assert dyna.num_steps == rival.STEPS
     learner, key = rival.Learner(theirs), jax.random.key(0)
     assert learner.model.rate == hparams.model.learning_rate
     for network, params in (

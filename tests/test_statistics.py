@@ -140,18 +140,21 @@ def test_an_interval_holds_the_mean_about_as_often_as_it_says(name):
     assert held >= 0.92
 
 
-def test_an_interval_of_two_groups_of_runs_ends_where_runs_can_be():
-    """Three of ten learn: some resamples of the rest alone have next to no spread."""
-    values = np.array([0.9, 0.8, 0.85, 0.02, 0.01, 0.0, -0.01, -0.02, 0.01, 0.03])
+@pytest.mark.parametrize("spread", [1, 0.01, 0])
+def test_an_interval_of_two_groups_of_runs_ends_near_the_runs(spread):
+    """Three of ten learn: some resamples of the rest alone have next to no spread, or none."""
+    rest = spread * np.array([0.02, 0.01, 0.0, -0.01, -0.02, 0.01, 0.03])
+    values = np.array([0.9, 0.8, 0.85, *rest])
     expected = scipy_t.interval(0.95, 9, values.mean(), sem(values))
     np.testing.assert_allclose(mean_of_runs(values)["ci95"], expected)
     np.testing.assert_allclose(mean_of_runs(-100 * values)["ci95"], -100 * np.flip(expected))
 
 
-def test_of_two_groups_an_interval_holds_the_mean_about_as_often_as_it_says():
+@pytest.mark.parametrize("spread", [0.05, 1e-4])
+def test_of_two_groups_an_interval_holds_the_mean_about_as_often_as_it_says(spread):
     """A third of the runs learns."""
     draw = np.random.default_rng(3)
-    samples = (draw.random((1000, 10)) < 0.3) + draw.normal(0, 0.05, (1000, 10))
+    samples = (draw.random((1000, 10)) < 0.3) + draw.normal(0, spread, (1000, 10))
     low, high = np.array([studentised_interval(one, resamples=400) for one in samples]).T
     assert np.mean((low <= 0.3) & (high >= 0.3)) >= 0.925
     assert max(high - samples.max(1)) < 0.8 > max(samples.min(1) - low)

@@ -10,6 +10,7 @@ import threading
 import weakref
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 from hashlib import blake2b
@@ -337,7 +338,8 @@ class Host:
 
 def _close(every: Sequence[Worlds]) -> None:
     for worlds in every:
-        worlds.env.close()
+        with suppress(Exception):  # or the others would stay open
+            worlds.env.close()
 
 
 def _digest(what: bytes, obs: np.ndarray) -> bytes:

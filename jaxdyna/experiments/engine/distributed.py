@@ -80,7 +80,8 @@ class Processes:
 
     def found(self, said: str, stack: ExitStack) -> None:
         """Finds out who this one is. Where a cluster gave all the same command line, only the
-        first says what is bad about it. `ValueError` where nothing says which processes there are.
+        first says what is bad about it, until they meet. `ValueError` where nothing says which
+        processes there are.
 
         Args:
             said: by ``--distributed``, as `taken` gives it.

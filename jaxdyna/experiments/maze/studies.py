@@ -147,7 +147,7 @@ LADDER = Study(
     of=MAZE, preset="paper", rows=ladder,
     common={
         "episodes": 300, "stop_after_solved": 0,
-        "size": 8, "obstacles": 3, "steps": 60, "coder_kernels": (3, 3, 3),  # the board of `levers`
+        "size": 8, "obstacles": 3, "steps": 60, "coder_kernels": (3, 3, 3),  # that of `levers`
         "agent.updates": 60, "agent.fake_updates": 60,  # one a step
         "hparams.agent.epsilon_episodes": 200.0,
     },

@@ -151,7 +151,8 @@ def break_even(results: Results) -> tuple[float, float, float] | None:
         Seconds of computing that a run of ``dyna`` takes beyond one of ``model_free``, the real
         steps before the solving window that it saves (restricted means), and the one over the other
         in milliseconds a real step. None where seconds are not known, where nothing is saved or the
-        two are not told apart, where no run of ``dyna`` has solved, or both are `hardly_solved`.
+        two are not told apart, as of five runs or fewer, where no run of ``dyna`` has solved, or
+        both are `hardly_solved`.
 
     Seconds are a core's, or a device's, of whole runs, as long as they were played: where these go
     on after they have solved, dreams are charged for that as well.
@@ -169,7 +170,8 @@ def break_even(results: Results) -> tuple[float, float, float] | None:
     each = [one * min(workers, -(-runs // block)) / runs for one in seconds]
     with_it, without = (restricted(figure) for figure in figures)
     extra, saved = each[0] - each[1], float(without.mean() - with_it.mean())
-    if saved <= 0 or (statistics.ratio_of_means(with_it, without)["p"] or 0.0) > 0.05:
+    p = statistics.ratio_of_means(with_it, without)["p"]
+    if saved <= 0 or p is None or p > 0.05:
         return None
     return extra, saved, 1000 * max(extra, 0.0) / saved
 
