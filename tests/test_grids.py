@@ -54,7 +54,7 @@ def test_a_ratio_is_updates_for_each_real_step(world, updates, steps):
 def test_a_ratio_of_episodes_that_differ_in_length():
     rows = setups(STUDIES["cartpole baselines"])
     one = rows["ratio 0.5, resets, rate 0.001, 1-step"]
-    assert (one.dqn.updates, one.dqn.updates_per_step, one.dqn.reset_every) == (0, 0.5, 2500)
+    assert (one.dqn.updates, one.dqn.updates_per_step, one.dqn.reset_every) == (0, 0.5, 20_000)
     assert value_at(one, "dqn_hparams.learning_rate") == 0.001
 
 
