@@ -161,11 +161,15 @@ def thresholds(record: Any, rule: Rule) -> str:
     def needed(curves: Mapping[str, np.ndarray]) -> np.ndarray:
         return np.stack([episodes_to_solve(one.score(curves), one) for one in lowered], axis=-1)
 
+    def within(values: np.ndarray) -> np.ndarray:
+        return np.minimum(plots.around(values), budget)
+
     every = {name: needed(curves) for name, curves in drawn(record, ()).items()}
     lines = {name: np.minimum(values, budget) for name, values in every.items()}
     axis = "threshold, as a share of the rule's"
     axes = axis, f"episodes to solve: mean, {plots.shaded(next(iter(lines.values())))}"
-    if not plots.bands(record.out / "thresholds.png", {"": lines}, *axes, at=LOWERED):
+    if not plots.bands(record.out / "thresholds.png", {"": lines}, *axes, at=LOWERED,
+                       interval=within):  # fmt: skip
         return ""
     said = ""
     if {*BOTH} <= lines.keys():
