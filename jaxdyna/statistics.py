@@ -274,8 +274,10 @@ def ratio_of_means(numerator: np.ndarray, denominator: np.ndarray, paired: bool 
     if min(one.mean(), other.mean()) <= 0:
         return said
     said["ratio"] = float(one.mean() / other.mean())
+    if min(len(one), len(other)) <= FEW:
+        return said
     log, error, freedom = (part[0] for part in _log_ratio(one[None], other[None], paired))
-    if min(len(one), len(other)) <= FEW or error <= 0:
+    if error <= 0:
         return said
     for name, level in (("ci95", 0.975), ("ci90", 0.95)):
         half = scipy.stats.t.ppf(level, freedom) * error

@@ -19,9 +19,9 @@ def sweep(
     train: Callable[[Key, Any], PyTree], keys: Key, hparams: Any, block: int | None = None
 ) -> PyTree:
     """Runs ``train(key, hparams)`` for every setting and seed in one jitted call. The seeds are
-    dealt out equally to as many of `jax.devices` as their number can be divided by. Nothing is said
-    until the end; `jaxdyna.experiments.engine.Engine.play` plays runs in pieces, with progress.
-    `ValueError` where the swept leaves differ in length, or another argument cannot be.
+    dealt out to all of `jax.devices`. Nothing is said until the end;
+    `jaxdyna.experiments.engine.Engine.play` plays runs in pieces, with progress. `ValueError` where
+    the swept leaves differ in length, or another argument cannot be.
 
     Args:
         train: a pure function; the same function object compiles once per shape.
@@ -50,16 +50,17 @@ def _sweep(train, keys, hparams, settings, block):
 
         return _vmap(setting, (_axes(hparams),), settings)(hparams)
 
-    devices = jax.devices()
-    count = max(n for n in range(1, len(devices) + 1) if len(keys) % n == 0)
-    if count == 1:
+    devices = jax.devices()[: len(keys)]
+    if len(devices) == 1:
         return share(keys, hparams)
-    mesh = Mesh(np.array(devices[:count]), (DEVICES,))
+    mesh = Mesh(np.array(devices), (DEVICES,))
     by_seed, shared = PartitionSpec(DEVICES), PartitionSpec()
-    return jax.shard_map(
+    spread = jax.shard_map(
         share, mesh=mesh, in_specs=(by_seed, shared), out_specs=PartitionSpec(None, DEVICES),
         check_vma=False,
-    )(keys, hparams)  # fmt: skip
+    )  # fmt: skip
+    made = spread(keys[_filled(len(keys), len(devices))], hparams)
+    return jax.tree.map(lambda leaf: leaf[:, : len(keys)], made)
 
 
 def over_runs(function: Callable[..., PyTree], size: int) -> Callable[..., PyTree]:
@@ -83,11 +84,15 @@ def _over_seeds(function: Callable[[Key], PyTree], keys: Key, block: int | None)
     seeds = len(keys)
     if block is None or block >= seeds:
         return at_once(keys)
-    blocks = -(-seeds // block)
-    # The last block is filled up with copies of the first seeds, which are cut off again.
-    rows = (jnp.arange(blocks * block) % seeds).reshape(blocks, block)
-    results = jax.lax.map(at_once, keys[rows])
+    results = jax.lax.map(at_once, keys[_filled(seeds, block).reshape(-1, block)])
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:seeds], results)
+
+
+def _filled(count: int, size: int) -> np.ndarray:
+    """The numbers of ``count`` seeds in whole blocks: the last is filled up with copies of the
+    first seeds, whose results are cut off again.
+    """
+    return np.arange(-(-count // size) * size) % count
 
 
 def _vmap(function: Callable, axes: tuple, size: int) -> Callable[..., PyTree]:

@@ -162,7 +162,7 @@ def test_costs_starts_and_memory_are_of_the_commands(monkeypatch):
     assert [row["ours"] for row in rows] == [8, 2, 4, 2] and rows[2]["ratio"] == 2
     assert [row["what"] for row in commands.start(TINY)][-1] == "second start, result and report"
     nothing, cartpole, _ = commands.memory(replace(TINY, worlds=("Maze",)))
-    assert nothing["ours"] == 0.5 and 0.001 < cartpole["theirs"] < 0.02 and cartpole["ours"] == 1
+    assert nothing["theirs"] == 0.5 and 0.001 < cartpole["ours"] < 0.02 and cartpole["theirs"] == 1
 
 
 def test_a_report_is_made_of_what_was_measured(alone, tmp_path):
@@ -192,6 +192,7 @@ def test_a_report_is_made_of_what_was_measured(alone, tmp_path):
     [
         (["--sizes", "0"], "--sizes is (0,)"), (["--seeds", "3"], "decided"),
         (["--sizes"], "empty"), (["--what", "all"], "--what is ('all',)"),
+        (["--shard", "1/2"], "benchmark has none"), (["--sweep", "envs=2,4"], "benchmark has none"),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_line(arguments, words, capsys):

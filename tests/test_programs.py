@@ -11,8 +11,9 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import pytest
+from pole import POLE
 
-from jaxdyna.experiments.engine import programs
+from jaxdyna.experiments.engine import main, programs, work
 
 PLAY = """
 import sys, jax, jax.numpy as jnp
@@ -95,6 +96,19 @@ def test_entries_are_shared_once_they_are_whole(folder, monkeypatch):
         compile_one(3.0)
     assert set(before) < set(entries(folder))
     assert jax.config.jax_compilation_cache_dir is None
+
+
+def test_programs_are_shared_before_the_first_arm_is_played(folder, tmp_path, monkeypatch):
+    found, play = [], work.Engine.play
+
+    def playing(engine, *arguments):
+        found.append(entries(folder))
+        return play(engine, *arguments)
+
+    monkeypatch.setattr(work.Engine, "play", playing)
+    flags = ["--arms", "model_free", "dyna", "--seeds", "1", "--out", str(tmp_path / "out")]
+    assert main(POLE, argv=flags, prog="pole") == 0
+    assert found[0] and len(found) == 2
 
 
 def test_what_was_not_used_for_long_makes_room(folder, monkeypatch):

@@ -272,6 +272,7 @@ def test_paired_runs_say_more_where_they_go_together():
 
 
 def test_where_a_ratio_has_no_interval_it_has_none():
+    assert ratio_of_means(np.array([2.0]), np.array([4.0]))["ratio"] == 0.5
     few = ratio_of_means(np.array([1.0, 3.0]), np.full(8, 4.0))
     assert few["ratio"] == 0.5 and few["ci95"] is few["ci90"] is few["p"] is None
     alike = ratio_of_means(np.full(8, 2.0), np.full(8, 4.0))

@@ -75,18 +75,21 @@ def test_it_compiles_once_for_a_shape():
     assert_close(out[0] / 3, out[1] / 4)
 
 
-def test_seeds_are_dealt_out_to_as_many_devices_as_divide_them():
-    def where(seeds, block=None):
-        keys = jax.random.split(jax.random.key(0), seeds)
-        out = sweep(lambda key, scale: jax.random.uniform(key) * scale, keys, 1.0, block)
-        return out, len(out.sharding.device_set)
+def test_seeds_are_dealt_out_to_all_devices():
+    """Also where their number cannot be divided by that of the devices."""
 
-    assert where(5)[1] == 1
-    for block in (None, 1, 2):
-        dealt, devices = where(6, block)
-        assert devices == len(jax.devices()) == 2
-        keys = jax.random.split(jax.random.key(0), 6)
-        assert_same(dealt[0], jax.vmap(jax.random.uniform)(keys))
+    def keys(seeds):
+        return jax.random.split(jax.random.key(0), seeds)
+
+    def train(key, scale):
+        return jax.random.uniform(key) * scale
+
+    assert len(jax.devices()) == 2
+    for seeds, devices in ((1, 1), (5, 2), (6, 2)):
+        for block in (None, 1, 2):
+            dealt = sweep(train, keys(seeds), jnp.array([1.0, 2.0]), block)
+            assert len(dealt.sharding.device_set) == devices
+            assert_same(dealt[1], 2 * jax.vmap(jax.random.uniform)(keys(seeds)))
 
 
 def test_nothing_swept_still_has_an_axis_for_settings():

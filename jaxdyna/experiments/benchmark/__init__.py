@@ -5,19 +5,21 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from shutil import which
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from jaxdyna.experiments.benchmark import commands, dreams, frames, report, steps, whole
+from jaxdyna.experiments.benchmark.others import versions
 from jaxdyna.experiments.benchmark.timing import yardstick
 from jaxdyna.experiments.engine import Experiment, InputError, Options, Overrides, Results
 from jaxdyna.experiments.report import sections
-from jaxdyna.fields import setting
+from jaxdyna.fields import changed, setting
 
 MEASURES: Mapping[str, Callable[[Any], Iterable[Results]]] = {
     "whole": whole.measure, "steps": steps.measure, "dreams": dreams.measure,
     "frames": frames.measure, "sweeps": commands.sweeps, "start": commands.start,
     "memory": commands.memory}  # fmt: skip
 WHAT = tuple(MEASURES)
+SORTED = ("runs", "sizes")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +33,8 @@ class BenchmarkOptions(Options):
     what: tuple[str, ...] = setting(WHAT, "which measurements", choices=WHAT, everyday=True)
     rounds: int = setting(5, "turns of each side; medians of them count", at_least=1, everyday=True)
     runs: tuple[int, ...] = setting(
-        (10, 100), "of whole: numbers of runs, the smallest first", at_least=1, at_most=10**6,
-        everyday=True)  # fmt: skip
+        (10, 100), "of whole: numbers of runs", at_least=1, at_most=10**6, everyday=True
+    )
     envs: int = setting(1024, "of steps: environments at once", at_least=1, everyday=True)
     gymnax: Path | None = setting(
         None, "of steps: the interpreter of an environment with gymnax 1.0; None: without it",
@@ -48,10 +50,14 @@ class BenchmarkOptions(Options):
     )
     sweep_episodes: int = setting(10, "of sweeps: real episodes of each run", at_least=2)
 
+    def resolved(self) -> Self:
+        """The smallest number of runs first: others stand beside it."""
+        return changed(self, {name: tuple(sorted(getattr(self, name))) for name in SORTED})
+
 
 FEW: Overrides = {
     "rounds": 2, "runs": (2,), "episodes": 120, "batches": (1, 1024),
-    "worlds": ("Maze",), "sizes": (2,), "sweep_episodes": 4}  # fmt: skip
+    "worlds": ("Maze",), "sizes": (2, 20), "sweep_episodes": 4}  # fmt: skip
 
 
 def _measured(name: str, rows: Callable[[Any], Iterable[Results]]) -> Callable[..., Any]:
@@ -66,7 +72,7 @@ def _measured(name: str, rows: Callable[[Any], Iterable[Results]]) -> Callable[.
         for row in rows(options):
             found["rows"].append(row)
             say(f"{name}: {report.line(row)}")
-        return found
+        return found | {"rivals": versions()}
 
     return measure
 

@@ -20,6 +20,7 @@ from jaxdyna.experiments.engine.session import prepared
 IMPORTS = {OURS: "import jaxdyna", "jax, flax and optax": "import jax, flax, optax"}
 #: a run of which starting takes the most
 SHORT = ("--seeds", 2, "--episodes", 20, "--dyna.num-real-first", 10)
+PEAK = "the process, at its peak"
 #: runs of ``dyna`` whose memory is looked at
 SMALL = {
     "CartPole": ("--seeds", "10", "--episodes", "20", "--dyna.num-real-first", "10"),
@@ -39,7 +40,8 @@ def sweeps(options: Any) -> Iterable[Results]:
         for kind, also in zip(costs, (spent["compile_s"], 0.0), strict=True):
             costs[kind].append((spent["run_s"] + also) / count)
             first, beside = costs[kind][0], f"{options.sizes[0]} runs"
-            what, theirs = f"{count:,} runs, a run's share, {kind}", costs[kind][1:] and first
+            what = f"{count:,} runs of {episodes} episodes, a run's share, {kind}"
+            theirs = costs[kind][1:] and first
             yield row(what, "s", costs[kind][-1], beside, theirs or None)
 
 
@@ -62,14 +64,14 @@ def start(options: Any) -> Iterable[Results]:
 
 
 def memory(options: Any) -> Iterable[Results]:
-    """The peak of small runs of ``dyna``, beside the state of these runs."""
+    """The state of small runs of ``dyna``, beside the peak of the process that plays them."""
     nothing = command("-c", f"import {PACKAGE}.cartpole").peak_bytes
-    yield row("nothing, imported alone", "GiB", nothing, "-")
+    yield row("nothing, imported alone", "GiB", None, PEAK, nothing)
     for name in ("CartPole", *(() if options.quick else options.worlds)):
         world, words = name.lower(), ["--arms", "dyna", *SMALL[name]]
         session = prepared(import_module(f"{PACKAGE}.{world}").PARTS, words, world)
         arm = chosen(session.every, session.options.arms)[0].make()
         state = jax.eval_shape(arm.work.init, jax.random.key(0), arm.hparams)
         ran, count = played(world, *words)[0], session.options.seeds
-        what = f"{name}, {count} runs"
-        yield row(what, "GiB", ran.peak_bytes, "their state", held(state) * count)
+        what = f"{name}, {count} runs' state"
+        yield row(what, "GiB", held(state) * count, PEAK, ran.peak_bytes)

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from functools import cache, partial
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ PACKAGE = "jaxdyna.experiments"
 #: a cache of programs that is not ours: with it no start is cold
 OTHERS = ("JAX_COMPILATION_CACHE_DIR",)
 EXAMPLES = storage.PACKAGE.parent / "docs" / "examples"  #: where the rivals are, in a checkout
+STAND_ON = ("torch", "ale_py")  #: and what this package needs
 #: a small process that starts the one that is measured: on Linux a new process's peak of memory is
 #: at least that of the one that started it
 BETWEEN = """import json, resource, subprocess, sys, time
@@ -37,9 +39,14 @@ def rival(name: str) -> Any:
         with patch.object(sys, "path", [str(EXAMPLES), *sys.path]):
             return import_module(name)
     except ModuleNotFoundError as error:
-        if error.name in (name, "torch", "ale_py"):
+        if error.name in (name, *STAND_ON):
             return None
         raise
+
+
+def versions() -> Results:
+    """Of what rivals alone stand on, as far as it was used."""
+    return {name: version(name) for name in STAND_ON if name in sys.modules}
 
 
 def by_threads(theirs: Any, call: Callable[[], Any], units: float) -> dict[str, Work | None]:

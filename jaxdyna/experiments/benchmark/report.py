@@ -21,10 +21,12 @@ SAID = {
     "frames": "One run on all cores, each batch drawn from its replay: the Maze by `tuned`, Pong's "
     "arm `dyna_l2` by `paper`, without what is only looked at. PyTorch steps dreams together, its "
     "replay is a list of transitions, its Pong the Atari 2600's; ours is the pure game.",
-    "sweeps": "CartPole's `dyna` by `tuned`, compiled anew, dreaming from the middle; once each.",
+    "sweeps": "CartPole's `dyna` by `tuned`, compiled anew, in runs so short that of ten of them "
+    "compiling is the most, dreaming from the middle; once each.",
     "start": "Each in a process of its own. The result is that of a short run of CartPole's two "
     "arms, with a cache of programs that is empty, then full, once each.",
-    "memory": "The peak of a process, beside the state of all its runs; once each."}  # fmt: skip
+    "memory": "The state of all runs of a short play, beside the peak of its process, most of "
+    "which is compiling; once each."}  # fmt: skip
 BESIDE = ("whole", "steps", "dreams", "frames")  #: what others are beside
 TICKS = (1, 2, 5, 10, 20, 50, 100, 200)  #: of the figure, as far as it goes
 LACKING = (
@@ -82,8 +84,13 @@ def ratio(row: Results) -> str:
 def machine(record: Record) -> str:
     """Where, and how to read the tables."""
     device, rounds = record.results["device"], record.options.rounds
+    measured = [record.results.get(name) or {} for name in SAID]
+    rivals = {k: v for found in measured for k, v in found.get("rivals", {}).items()}
+    used = {name: record.results["versions"][name] for name in ("jax", "gymnasium", "numpy")}
+    with_what = ", ".join(f"{name} {number}" for name, number in (used | rivals).items())
     return (
-        f"On {device['cpu_cores']} cores ({device['platform']}; PyTorch and NumPy on the CPU). "
+        f"On {device['cpu_cores']} cores ({device['kind']}; PyTorch and NumPy on the CPU), with "
+        f"{with_what}. "
         f"Where it is not said otherwise, both sides in turns, {rounds} each; medians. A ratio is "
         "the other's time, or bytes, over ours, turn by turn: above 1 ours is the faster. Seconds "
         "are this machine's, ratios less so; what it does at all in large products stands below "

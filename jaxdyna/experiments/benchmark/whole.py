@@ -16,7 +16,8 @@ REAL, MODEL, FAKE, TOGETHER = (
     "real step with its share of a policy update", "model update",
     "fake step with its share, one at a time", "fake step with its share, 8 at a time")  # fmt: skip
 WARM_UP = 60  #: real episodes of PyTorch's run before its pieces are timed
-#: how often the smallest number of runs is played; larger ones as often in all, at least once
+#: how often the smallest number of runs is played, but for a quick look; larger ones as often in
+#: all, at least once
 COLD = 3
 SIDES = {"PyTorch, as written": FAKE, "PyTorch, batched dreams": TOGETHER}
 
@@ -27,7 +28,7 @@ def measure(options: Any) -> Iterable[Results]:
     for count in options.runs:
         ours: list[float] = []
         theirs: dict[str, list[float]] = {side: [] for side in SIDES}
-        for _ in range(max(1, COLD * options.runs[0] // count)):
+        for _ in range(1 if options.quick else max(1, COLD * options.runs[0] // count)):
             seconds = in_turns(torchs, options.rounds)
             flags = "--seeds", count, "--seed", options.seed, "--episodes", options.episodes
             ran, results, curves = played("cartpole", *flags)

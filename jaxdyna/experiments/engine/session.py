@@ -108,6 +108,10 @@ def prepared(parts: Sequence[Experiment | Study], argv: Sequence[str], prog: str
         raise ValueError("--arms is empty: name arms, or leave it out for all")
     sweep = cli.swept(options, call.sweep) or read_back(default, earlier.get("sweep", {}))
     every = entries(experiment, asked_for, sweep)
+    if not every and (sweep or call.shards[1] > 1):
+        raise ValueError(
+            f"--sweep and --shard divide runs, of which {experiment.name} has none: leave them out"
+        )
     command = f"{prog} {shlex.join(word for word in argv if word != '--resume')}".strip()
     first = call.part is None or call.part == parts[0].name
     name = parts[0].name if first else f"{parts[0].name}-{experiment.name}"
@@ -288,6 +292,7 @@ class Session:
                 for name in ahead:
                     bars.tell(name, "compiling", 0, 0)
                 engine.prepare(dict(works[name] for name in ahead))
+                self.share()  # before hours of playing, for others that start
                 for name in ahead:
                     bars.tell(name, "waiting", 0, 0)
                 for name in ahead:

@@ -217,7 +217,7 @@ def provenance(made: Results, earlier: Results | None) -> Results:
     """
     before = ((earlier or {}).get("device") or {}).get("peak_memory_gib")
     device = {
-        "kind": jax.devices()[0].device_kind,
+        "kind": processor() if jax.default_backend() == "cpu" else jax.devices()[0].device_kind,
         "count": jax.device_count(),
         "cpu_cores": cores(),
         "peak_memory_gib": max(peak_memory_gib(), before or 0.0),
@@ -270,6 +270,15 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def processor() -> str:
+    """The CPU's name, as far as the machine tells it."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
 
 
 def threads() -> int:
