@@ -102,7 +102,7 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_is_compiled(
     argv = ["--seeds", "4", "--block", "2", "--out", str(tmp_path / "out")]
     with monkeypatch.context() as patch, pytest.raises(SystemExit, match="2"):
         patch.setattr(memory, "available", lambda place: 10**4)
-        patch.setattr(work, "_timed", None)
+        patch.setattr(work._Program, "compile", None)
         main(POLE, argv=argv, prog="pole")
     line = capsys.readouterr().err.strip()
     assert "x 2 runs at a time take" in line and "0.0 GiB are free: lower --block" in line

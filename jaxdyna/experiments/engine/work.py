@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from operator import itemgetter
@@ -201,12 +200,10 @@ class Engine:
             raise ValueError(f"log has {len(log)} loggers for {count} runs: give one a run")
         collected = work.collect(runs) if work.collect else None
         began = time.perf_counter()
-        with _compiler() as compiler:
-            programs = self._programs(work, runs, compiler, collected)
-            if any(program.compiling for program in programs):
-                say("compiling", 0, 0)
-            for program in programs:
-                program.compiled()
+        programs = self._programs(work, runs, collected)
+        if any(program.lowered for program in programs):
+            say("compiling", 0, 0)
+        _compile(programs)
         compile_s = time.perf_counter() - began + self.prepared.pop(work, 0.0)
         pool = _Pool(self, programs, runs, collected, over, store, say, log)
         with ThreadPoolExecutor(len(programs)) as threads:
@@ -220,46 +217,41 @@ class Engine:
 
     def prepare(self, several: Mapping[Work, Runs]) -> None:
         """Compiles at a time what is played next, which alone keeps little more than a core busy;
-        not what waits for data that the host collects. The last is the first: a comparison begins
-        with its baselines, which take the least. `InputError` where memory is short.
+        not what waits for data that the host collects. `InputError` where memory is short.
         """
-        began, took = time.perf_counter(), dict[Work, float]()
-        asked = {self._asked(work): runs for work, runs in several.items() if not work.collect}
-        with _compiler() as compiler:
-            made = {work: self._programs(work, asked[work], compiler) for work in reversed(asked)}
-            for work, programs in made.items():
-                took[work] = sum(program.compiled() for program in programs)
+        began, took, rest = time.perf_counter(), {}, {}
+        with ThreadPoolExecutor(max(len(several), 1)) as pool:  # one compiles as the next is traced
+            for work, runs in zip(map(self._asked, several), several.values(), strict=True):
+                if not work.collect:
+                    traced = time.perf_counter()
+                    programs = self._programs(work, runs)
+                    took[work] = time.perf_counter() - traced
+                    rest[work] = pool.submit(_compile, programs)
+        for work, part in rest.items():
+            took[work] += part.result()
         share = (time.perf_counter() - began) / max(sum(took.values()), 1e-9)
         self.prepared |= {work: share * one for work, one in took.items()}
 
     def _asked(self, work: Work) -> Work:
         return work if self.keep else work._replace(trained=None)
 
-    def _programs(
-        self, work: Work, runs: Runs, compiler: Executor, collected: Any = None
-    ) -> list[_Program]:
-        """Each worker's; traced here, in the caller's `jax.config` contexts."""
+    def _programs(self, work: Work, runs: Runs, collected: Any = None) -> list[_Program]:
+        """Each worker's; traced here, in the caller's `jax.config` contexts, compiled later."""
         where = places(self.workers)[: -(-len(runs.seed) // work.block)]
         shapes = jax.tree.map(lambda leaf: (leaf.shape[1:], str(leaf.dtype)), runs.hparams)
         known = [(work, str(shapes), place) for place in where]
         for one in {*known} - self.programs.keys():
             place = one[-1]
-            at_once = where.count(place)
-            self.programs[one] = _Program(work, runs, collected, place, at_once, compiler)
+            self.programs[one] = _Program(work, runs, collected, place, where.count(place))
         return [self.programs[one] for one in known]
 
 
-@contextmanager
-def _compiler() -> Iterator[Executor]:
-    """As many threads as there are cores: XLA compiles without Python's lock. What waits for one
-    is dropped where anything fails.
-    """
-    with ThreadPoolExecutor(cores()) as threads:
-        try:
-            yield threads
-        except BaseException:
-            threads.shutdown(wait=False, cancel_futures=True)
-            raise
+def _compile(programs: Sequence[_Program]) -> float:
+    """Those that are not yet; returns the seconds that it takes."""
+    began = time.perf_counter()
+    for program in programs:
+        program.compile()
+    return time.perf_counter() - began
 
 
 def places(workers: int = 0) -> list[jax.Device]:
@@ -271,20 +263,10 @@ def places(workers: int = 0) -> list[jax.Device]:
 
 
 class _Program:
-    """A work for blocks of its size on one device: traced, and compiled from then on.
+    """A work for blocks of its size on one device: lowered, then compiled."""
 
-    Attributes:
-        calls: what is compiled, by name.
-        compiling: what is about to be, and how many seconds that took.
-    """
-
-    def __init__(
-        self, work: Work, runs: Runs, collected: Any, place: jax.Device, at_once: int,
-        compiler: Executor,
-    ):  # fmt: skip
-        self.work, self.place, self.at_once, began = work, place, at_once, time.perf_counter()
-        self.calls: dict[str, Any] = {}
-        self.compiling: dict[str, Future[tuple[Any, float]]] = {}
+    def __init__(self, work: Work, runs: Runs, collected: Any, place: jax.Device, at_once: int):
+        self.work, self.place, self.at_once = work, place, at_once
         keys, hparams = self.shapes((runs.keys, runs.hparams))
 
         def piece(state: Any, data: Any, first: jax.Array, count: jax.Array, hparams: Any) -> Any:
@@ -298,37 +280,28 @@ class _Program:
         state, data = self.shapes((start.out_info, making.out_info if making else collected))
         afford(held(state, data), work.block, at_once, place)  # before it compiles for minutes
         key, number = jax.device_put((runs.judging[0], np.int32(0)), place)
-
-        def later(name: str, lowered: Any, level: int = 1) -> None:
-            self.compiling[name] = compiler.submit(_timed, lowered, optimised(level, place))
-
-        whole = jax.jit(piece, donate_argnums=0).lower(state, data, number, number, hparams)
-        later("piece", whole, work.level)  # what takes the longest, first
-        later("start", start)
-        if making:
-            later("data", making)
+        piece_of = jax.jit(piece, donate_argnums=0).lower(state, data, number, number, hparams)
+        seldom: dict[str, Any] = {"start": start, "data": making}
         own = jax.tree.map(itemgetter(0), runs.hparams)
         keeper = work.trained and Keeper(work.init, work.trained, own)
         hooks = work.judge, work.show, keeper.keep if keeper else None
         told = state, data, hparams
         for name, hook in zip(HOOKS, hooks, strict=True):
-            if hook:
-                lowered = jax.jit(partial(_of_one, hook)).lower(key, number, told)
-                later(name, lowered)
-        if keeper:  # the last of the hooks
-            later("play", keeper.play.lower(lowered.out_info, key, own, EPISODES))
-        self.traced_s = time.perf_counter() - began
+            seldom[name] = hook and jax.jit(partial(_of_one, hook)).lower(key, number, told)
+        if keeper:
+            seldom["play"] = keeper.play.lower(seldom["keep"].out_info, key, own, EPISODES)
+        self.lowered = {name: (one, optimised(1, place)) for name, one in seldom.items() if one}
+        self.lowered["piece"] = piece_of, optimised(work.level, place)
 
-    def compiled(self) -> float:
-        """Waits until it is, looks at the memory that it takes (`InputError` where it lacks), and
-        returns the seconds since tracing, of all threads; 0 where it was before.
-        """
-        if not self.compiling:
-            return 0.0
-        made = {name: one.result() for name, one in self.compiling.items()}
-        self.calls, self.compiling = {name: call for name, (call, _) in made.items()}, {}
+    def compile(self) -> None:
+        """Compiles it, once, and looks at the memory it takes: `InputError` where it lacks."""
+        if not self.lowered:
+            return
+        with ThreadPoolExecutor(len(self.lowered)) as pool:  # XLA compiles without Python's lock
+            made = pool.map(lambda one: one[0].compile(one[1]), self.lowered.values())
+            self.calls = dict(zip(self.lowered, made, strict=True))
         afford(used_by(self.calls["piece"]), self.work.block, self.at_once, self.place)
-        return self.traced_s + sum(seconds for _, seconds in made.values())
+        self.lowered = {}
 
     def shapes(self, tree: Any) -> Any:
         """Of leaves ``[runs, ...]`` those of a block, on this program's device."""
@@ -338,12 +311,6 @@ class _Program:
             return jax.ShapeDtypeStruct((block, *leaf.shape[1:]), leaf.dtype, sharding=where)
 
         return jax.tree.map(of, tree)
-
-
-def _timed(lowered: Any, options: Mapping[str, Any]) -> tuple[Any, float]:
-    """What is compiled, and in how many seconds."""
-    began = time.perf_counter()
-    return lowered.compile(options), time.perf_counter() - began
 
 
 def _of_one(judge: Callable, key: Key, lane: jax.Array, held: tuple[Any, Any, Any]) -> Any:
