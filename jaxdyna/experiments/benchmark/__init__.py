@@ -56,7 +56,7 @@ class BenchmarkOptions(Options):
 
 
 FEW: Overrides = {
-    "rounds": 2, "runs": (2,), "episodes": 120, "batches": (1, 1024),
+    "rounds": 1, "runs": (2,), "episodes": 120, "batches": (1, 1024),
     "worlds": ("Maze",), "sizes": (2, 20), "sweep_episodes": 4}  # fmt: skip
 
 
