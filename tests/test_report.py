@@ -112,6 +112,16 @@ def test_a_legend_of_long_names_has_fewer_columns(tmp_path):
     assert columns("abcd") == 4 and columns([f"dyna@{RATE}={n}" for n in range(3)]) == 1
 
 
+def test_a_figure_of_fewer_arms_than_there_are_says_so(tmp_path):
+    made = record(tmp_path, [[0, 1, 1]] * 2)
+    for number in range(7):
+        made.curves[f"dyna@{number}"] = made.curves["dyna"]
+    section = report.learning_curves(rule)
+    assert "Curves are drawn" not in section(made)
+    made.curves["model_free"] = made.curves["dyna"]
+    assert "Curves are drawn of 8 of the 9 arms." in section(made)
+
+
 def test_lower_thresholds_are_reached_earlier(tmp_path, monkeypatch):
     """By hand: dyna is at 5 from the third episode on and at 10 from the fifth, model_free at 5
     from the sixth on and never at 10.

@@ -240,11 +240,13 @@ def learning_curves(
         returns[arm] = curves["real_return"] / whole
         if solves:
             at[arm] = episodes_to_solve(solves.score(curves), solves)
-    asked, few = (solves.threshold, min(solves.window, 20)) if solves else (None, 20)
+    asked, smooth = (solves.threshold, min(solves.window, 20)) if solves else (None, 20)
     kinds = " and ".join(sorted({_begun(arm) for arm in returns if begins} - {""}))
     first = {kinds: record.options.dyna.num_real_first} if kinds else {}
-    plots.learning_curves(record.out / name, returns, asked, at, first, window or few, what)
-    return paragraphs(f"![{said}]({name})", solved_share(rule)(record))
+    plots.learning_curves(record.out / name, returns, asked, at, first, window or smooth, what)
+    shown, there = len(returns), len(record.curves)
+    few = f"Curves are drawn of {shown} of the {there} arms." if shown < there else ""
+    return paragraphs(f"![{said}]({name})", few, solved_share(rule)(record))
 
 
 def _begun(arm: str) -> str:
