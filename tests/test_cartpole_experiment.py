@@ -14,10 +14,10 @@ import tiny
 from parts import assert_same
 from renamed import respelled
 
-from jaxdyna.experiments.cartpole import PARTS
+from jaxdyna.experiments.cartpole import PARTS, model
 from jaxdyna.experiments.cartpole.arms import arms
 from jaxdyna.experiments.cartpole.options import LEAN, TUNED
-from jaxdyna.experiments.engine import Engine, main, session, storage
+from jaxdyna.experiments.engine import Engine, Record, main, session, storage
 from jaxdyna.experiments.engine.progress import Bars
 from jaxdyna.experiments.engine.storage import read_curves
 from jaxdyna.fields import changed
@@ -103,6 +103,17 @@ def test_report_and_figures(finished):
     assert "fig5_placebo.png" not in report  # it has no model
     assert "nan" not in report.lower()
     assert not (finished / "checkpoints").exists()
+
+
+def test_of_what_was_swept_the_first_setting_has_its_figure(finished, tmp_path):
+    """Of eight settings eight figures would be three megabytes."""
+    results = storage.read_json(finished / "results.json")
+    dyna, curves = results["arms"]["dyna"], read_curves(finished / "curves.npz")["dyna"]
+    names = ("dyna@N=2", "dyna@N=3", "mpc")
+    results["arms"] = dict.fromkeys(names, dyna)
+    record = Record(TUNED, results, dict.fromkeys(names, curves), tmp_path)
+    assert "dyna@N=3" in model.section(record)
+    assert {path.name for path in tmp_path.iterdir()} == {"fig5_dyna@N=2.png", "fig5_mpc.png"}
 
 
 def test_the_placebo_learns_from_as_many_dreams():

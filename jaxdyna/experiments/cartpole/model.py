@@ -112,7 +112,9 @@ def describe(options: Any, curves: Curves) -> Results:
 
 
 def section(record: Any) -> str:
-    """The first dreams of each arm, and the models that are learned; ``fig5_ARM.png``."""
+    """The first dreams of each arm, and the models that are learned; ``fig5_ARM.png``, of what was
+    swept the first setting's.
+    """
     arms, said = record.results["arms"], []
     if dreams := [
         [name, *(whole(first[key]) for key in DREAMS)]
@@ -124,6 +126,8 @@ def section(record: Any) -> str:
     models = {name: arm["model"] for name, arm in arms.items()
               if "model" in arm and not name.startswith("placebo")}  # fmt: skip
     if models:
+        filmed = [name for name in models if "show_policy_truth" in record.curves[name]]
+        drawn = {name.partition("@")[0]: name for name in reversed(filmed)}
         rows = [
             [name, state, *(number(model[f"one_step_r2_{kind}"][state][of], 4)
                             for kind in ("state", "change") for of in ("median", "min"))]
@@ -136,7 +140,7 @@ def section(record: Any) -> str:
             "them trained on. The next state is easy to explain, because it is close to the state "
             "before; the change of the state is the harder test.",
             markdown_table(header, rows),
-            *(_fig5(record, name) for name in models if "show_policy_truth" in record.curves[name]),
+            *(_fig5(record, name) for name in reversed(drawn.values())),
             "The dashed line of Fig. 5 goes on from the model's own predictions under the recorded "
             "actions. An unstable pole makes any small error grow there: those actions balanced "
             "the real pole, not the slightly different one that is imagined. A policy that acts in "
