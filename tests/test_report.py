@@ -112,14 +112,27 @@ def test_a_legend_of_long_names_has_fewer_columns(tmp_path):
     assert columns("abcd") == 4 and columns([f"dyna@{RATE}={n}" for n in range(3)]) == 1
 
 
-def test_a_figure_of_fewer_arms_than_there_are_says_so(tmp_path):
+def test_a_figure_of_fewer_arms_than_there_are_says_so(tmp_path, monkeypatch):
     made = record(tmp_path, [[0, 1, 1]] * 2)
     for number in range(7):
         made.curves[f"dyna@{number}"] = made.curves["dyna"]
     section = report.learning_curves(rule)
+    shares = []
+    monkeypatch.setattr(plots, "shares", lambda file, solved, *_: shares.append([*solved]))
     assert "Curves are drawn" not in section(made)
     made.curves["model_free"] = made.curves["dyna"]
     assert "Curves are drawn of 8 of the 9 arms." in section(made)
+    assert len(shares[1]) == 8
+
+
+def test_when_dreams_begin_is_drawn_where_it_is_one_episode(tmp_path, monkeypatch):
+    marks = []
+    monkeypatch.setattr(plots, "learning_curves", lambda *arguments: marks.append(arguments[4]))
+    made = record(tmp_path, [[0, 1, 1]] * 2)
+    report.learning_curves(rule)(made)
+    made.results["sweep"] = {"dyna.num_real_first": [2, 3]}
+    report.learning_curves(rule)(made)
+    assert marks == [{"dreams begin": 2}, {}]
 
 
 def test_lower_thresholds_are_reached_earlier(tmp_path, monkeypatch):

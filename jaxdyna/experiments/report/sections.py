@@ -162,7 +162,7 @@ def thresholds(record: Any, rule: Rule) -> str:
         return np.stack([episodes_to_solve(one.score(curves), one) for one in lowered], axis=-1)
 
     def within(values: np.ndarray) -> np.ndarray:
-        return np.minimum(plots.around(values), budget)
+        return np.clip(plots.around(values), min(solves.window, budget), budget)
 
     every = {name: needed(curves) for name, curves in drawn(record, ()).items()}
     lines = {name: np.minimum(values, budget) for name, values in every.items()}
@@ -241,6 +241,7 @@ def learning_curves(
         if solves:
             at[arm] = episodes_to_solve(solves.score(curves), solves)
     asked, smooth = (solves.threshold, min(solves.window, 20)) if solves else (None, 20)
+    begins = begins and "dyna.num_real_first" not in record.results["sweep"]
     kinds = " and ".join(sorted({_begun(arm) for arm in returns if begins} - {""}))
     first = {kinds: record.options.dyna.num_real_first} if kinds else {}
     plots.learning_curves(record.out / name, returns, asked, at, first, window or smooth, what)
@@ -261,7 +262,7 @@ def _begun(arm: str) -> str:
 def solved_share(record: Any, rule: Rule) -> str:
     """The share of the runs that have solved, against real episodes."""
     solves, solved = rule(record.options), {}
-    for name, curves in record.curves.items():
+    for name, curves in drawn(record, ()).items():
         at = episodes_to_solve(solves.score(curves), solves)
         played = int(np.isfinite(curves["real_return"]).sum(1).max())
         solved[name] = at[:, None] <= np.arange(1, played + 1)
